@@ -1,0 +1,252 @@
+//! Axis-aligned boxes and a ray-slab test that cannot miss.
+
+use crate::Ray;
+use glam::Vec3;
+
+/// An axis-aligned box, faces included. Empty when `min > max` on some axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Smallest coordinates.
+    pub min: Vec3,
+    /// Largest coordinates.
+    pub max: Vec3,
+}
+
+impl Aabb {
+    /// The box that holds nothing; the neutral element of [`Self::union`].
+    pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+
+    /// Smallest box around `points`.
+    pub fn from_points(points: &[[f32; 3]]) -> Self {
+        points.iter().fold(Self::EMPTY, |b, &p| b.with_point(p))
+    }
+
+    /// Smallest box around this one and `point`.
+    #[must_use]
+    #[inline]
+    pub fn with_point(self, point: impl Into<Vec3>) -> Self {
+        let point = point.into();
+        Self { min: self.min.min(point), max: self.max.max(point) }
+    }
+
+    /// Smallest box around both.
+    #[must_use]
+    #[inline]
+    pub fn union(self, other: Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    /// Whether no point is inside.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        !self.min.cmple(self.max).all()
+    }
+
+    /// Size along each axis; 0 for an empty box.
+    #[inline]
+    pub fn size(&self) -> Vec3 {
+        if self.is_empty() { Vec3::ZERO } else { self.max - self.min }
+    }
+
+    /// Length of the diagonal; 0 for an empty box.
+    pub fn diagonal(&self) -> f32 {
+        self.size().as_dvec3().length() as f32
+    }
+
+    /// The middle of the box.
+    pub fn center(&self) -> Vec3 {
+        self.min + 0.5 * (self.max - self.min)
+    }
+
+    /// Surface area; 0 for an empty box.
+    #[inline]
+    pub fn area(&self) -> f32 {
+        let s = self.size();
+        2.0 * (s.x * s.y + s.y * s.z + s.z * s.x)
+    }
+
+    /// Whether some point of the ray's closed segment may be in the box. See [`SlabRay`].
+    pub fn may_hit(&self, ray: &Ray) -> bool {
+        SlabRay::new(ray).is_some_and(|slab| slab.entry(self, slab.tfar).is_some())
+    }
+}
+
+/// A ray prepared for slab tests against boxes, scaled so that no rounding loses a box.
+///
+/// With `s` a power of two, `t` here is `s` times the ray's `t`. A box that the exact segment touches is always reported;
+/// a box passed within a few units in the last place may be reported too.
+///
+/// # Why it can't miss (after Ize, Robust BVH Ray Traversal, JCGT 2(2), 2013)
+/// Coordinates are at most [`MAX_COORDINATE`](crate::mesh::MAX_COORDINATE) and the largest direction component is
+/// scaled into `[2^-40, 2^-39)`, so every `t` is 0 or at least `2^-149 * 2^39`, normal, and finite wherever the exact
+/// one is below `2^127`. The computed `(plane - origin) * inv` then carries three relative roundings of at most `2^-24`
+/// (difference, reciprocal, product); `inv_near` is shrunk and `inv_far` grown by `2^-21`, which is more than their
+/// sum. Reciprocals of components below `2^-120` are bounded towards the safe side: `inv_near` stays finite, `inv_far`
+/// becomes infinite. `0 * infinity` (a ray in the plane of a face) gives NaN, which `min` and `max` drop: the box stays.
+#[derive(Clone, Copy, Debug)]
+pub struct SlabRay {
+    /// Origin seen by near planes: the ray's, moved forward by the padding.
+    pub origin_near: Vec3,
+    /// Origin seen by far planes: the ray's, moved back by the padding.
+    pub origin_far: Vec3,
+    /// Reciprocal direction for near planes, rounded towards 0.
+    pub inv_near: Vec3,
+    /// Reciprocal direction for far planes, rounded away from 0.
+    pub inv_far: Vec3,
+    /// Start of the segment in scaled `t`, rounded down.
+    pub tnear: f32,
+    /// End of the segment in scaled `t`, rounded up.
+    pub tfar: f32,
+    /// What the ray's `t` is multiplied by, as two powers of two.
+    scale: [f32; 2],
+}
+
+impl SlabRay {
+    /// Prepares `ray`; `None` if it is not [valid](Ray::is_valid), which is a miss.
+    #[inline]
+    pub fn new(ray: &Ray) -> Option<Self> {
+        Self::with_padding(ray, Vec3::ZERO)
+    }
+
+    /// Like [`Self::new`], with every box grown by `padding` (world units, at least 0) on each side.
+    #[inline]
+    pub fn with_padding(ray: &Ray, padding: Vec3) -> Option<Self> {
+        if !ray.is_valid() {
+            return None;
+        }
+        // Two exact steps, since one power of two can't carry a denormal direction up to 2^-40.
+        let largest = ray.direction.abs().max_element();
+        let lift = if largest < f32::MIN_POSITIVE { 2f32.powi(64) } else { 1.0 };
+        let exponent = ((largest * lift).to_bits() >> 23) as i32 - 127;
+        let shift = (-40 - exponent).clamp(-126, 126);
+        let step = f32::from_bits(((shift + 127) as u32) << 23);
+        // A direction of 2^127 needs a shift of -167: the rest goes into a second exact step.
+        let rest = f32::from_bits(((-40 - exponent - shift + 127) as u32) << 23);
+        let d = ray.direction * lift * step * rest;
+        // t grows by what the direction shrinks; powers of two, whose reciprocals are exact.
+        let scale = [(lift * step).recip(), rest.recip()];
+        let tnear = (ray.tnear * scale[0] * scale[1]).min(f32::MAX) * (1.0 - 2f32.powi(-21));
+        let mut slab = Self {
+            origin_near: ray.origin,
+            origin_far: ray.origin,
+            inv_near: Vec3::ZERO,
+            inv_far: Vec3::ZERO,
+            tnear: if tnear < f32::MIN_POSITIVE { 0.0 } else { tnear },
+            tfar: 0.0,
+            scale,
+        };
+        slab.tfar = slab.scaled_tfar(ray.tfar);
+        for axis in 0..3 {
+            let (magnitude, sign) = (d[axis].abs(), 1f32.copysign(d[axis]));
+            let tiny = magnitude < 2f32.powi(-120);
+            let near = if tiny { 2f32.powi(119) } else { magnitude.recip() };
+            let far = if tiny { f32::INFINITY } else { magnitude.recip() };
+            slab.inv_near[axis] = sign * near * (1.0 - 2f32.powi(-21));
+            slab.inv_far[axis] = sign * far * (1.0 + 2f32.powi(-21));
+            // Rounded outwards by one more unit in the last place of the larger term.
+            let pad =
+                if padding[axis] > 0.0 { padding[axis] + ray.origin[axis].abs() * f32::EPSILON } else { 0.0 };
+            slab.origin_near[axis] += sign * pad;
+            slab.origin_far[axis] -= sign * pad;
+        }
+        Some(slab)
+    }
+
+    /// The ray's `t` as an end of the segment in scaled `t`, rounded up.
+    #[inline]
+    pub fn scaled_tfar(&self, t: f32) -> f32 {
+        (t * self.scale[0] * self.scale[1] * (1.0 + 2f32.powi(-21))).max(f32::MIN_POSITIVE)
+    }
+
+    /// Scaled `t` where the segment up to `tfar` (scaled) enters `aabb`, at least `self.tnear` and never too large;
+    /// `None` if it surely stays outside.
+    #[inline]
+    pub fn entry(&self, aabb: &Aabb, tfar: f32) -> Option<f32> {
+        let (mut t0, mut t1) = (self.tnear, tfar);
+        for axis in 0..3 {
+            let forward = self.inv_near[axis] >= 0.0;
+            let (near, far) =
+                if forward { (aabb.min[axis], aabb.max[axis]) } else { (aabb.max[axis], aabb.min[axis]) };
+            // `max` and `min` return the other operand for NaN.
+            t0 = t0.max((near - self.origin_near[axis]) * self.inv_near[axis]);
+            t1 = t1.min((far - self.origin_far[axis]) * self.inv_far[axis]);
+        }
+        (t0 <= t1).then_some(t0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Whether the closed segment touches the closed box, in exact rational arithmetic.
+    fn touches_exactly(ray: &Ray, aabb: &Aabb) -> bool {
+        use num_rational::BigRational as Q;
+        let q = |x: f32| Q::from_float(x).unwrap();
+        let mut t0 = q(ray.tnear);
+        let mut t1 = (ray.tfar < f32::INFINITY).then(|| q(ray.tfar));
+        for axis in 0..3 {
+            let (o, d) = (q(ray.origin[axis]), q(ray.direction[axis]));
+            let (lo, hi) = (q(aabb.min[axis]), q(aabb.max[axis]));
+            if d == q(0.0) {
+                if o < lo || o > hi {
+                    return false;
+                }
+                continue;
+            }
+            let (a, b) = ((lo - &o) / &d, (hi - &o) / &d);
+            let (near, far) = if a < b { (a, b) } else { (b, a) };
+            t0 = t0.max(near);
+            t1 = Some(t1.map_or(far.clone(), |t| t.min(far)));
+        }
+        t1.is_none_or(|t1| t0 <= t1)
+    }
+
+    fn nasty() -> impl Strategy<Value = f32> {
+        prop_oneof![
+            4 => -2f32..2.0,
+            1 => prop::sample::select(vec![0.0, -0.0, 1.0, -1.0, 0.5, 1e-30, -1e-30, 1e-45, 3e-39, 1e12, -1e20]),
+            1 => (-4i8..5).prop_map(|i| f32::from(i) * 0.25),
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4000))]
+        #[test]
+        fn a_touched_box_is_never_missed(
+            o in [nasty(), nasty(), nasty()], d in [nasty(), nasty(), nasty()],
+            a in [nasty(), nasty(), nasty()], b in [nasty(), nasty(), nasty()],
+            tnear in prop_oneof![Just(0f32), 0f32..2.0],
+            length in prop_oneof![Just(f32::INFINITY), 0f32..4.0, Just(1e-42f32), Just(1e30f32)],
+            scale in prop::sample::select(vec![1f32, 1e-38, 1e-44, 1e30, 1e18]),
+        ) {
+            let direction = Vec3::from(d) * scale;
+            let ray = Ray { origin: o.into(), direction, tnear, tfar: tnear + length };
+            let aabb = Aabb::EMPTY.with_point(a).with_point(b);
+            prop_assume!(ray.is_valid());
+            prop_assert!(aabb.may_hit(&ray) || !touches_exactly(&ray, &aabb));
+        }
+    }
+
+    #[test]
+    fn far_away_and_empty_boxes_are_missed() {
+        let unit = Aabb::from_points(&[[0.0; 3], [1.0; 3]]);
+        assert!(!unit.may_hit(&Ray::new([2.0, 2.0, 2.0], [1.0, 1.0, 1.0])));
+        assert!(!unit.may_hit(&Ray::new([-1.0, 0.5, 0.5], [1.0, 0.0, 0.0]).with_tfar(0.5)));
+        assert!(unit.may_hit(&Ray::new([-1.0, 0.5, 0.5], [1.0, 0.0, 0.0]).with_tfar(1.0)));
+        assert!(!Aabb::EMPTY.may_hit(&Ray::new([0.0; 3], [1.0, 1.0, 1.0])));
+        assert!(!unit.may_hit(&Ray::new([f32::NAN; 3], [1.0, 1.0, 1.0])));
+        assert!(!unit.may_hit(&Ray::new([-1.0, 2.0, 0.5], [1.0, 0.0, 0.0])));
+    }
+
+    #[test]
+    fn padding_grows_boxes() {
+        let unit = Aabb::from_points(&[[0.0; 3], [1.0; 3]]);
+        let ray = Ray::new([-1.0, 1.05, 0.5], [1.0, 0.0, 0.0]);
+        let entry =
+            |pad: f32| SlabRay::with_padding(&ray, Vec3::splat(pad)).unwrap().entry(&unit, f32::INFINITY);
+        assert!(entry(0.0).is_none());
+        assert!(entry(0.1).is_some());
+    }
+}

@@ -1,0 +1,1 @@
+//! Blocks of triangles tested together.

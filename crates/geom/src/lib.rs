@@ -1,0 +1,31 @@
+#![doc = include_str!("../README.md")]
+
+pub mod aabb;
+pub mod differential;
+pub mod falloff;
+pub mod frame;
+pub mod kernel;
+pub mod mesh;
+pub mod morton;
+pub mod offset;
+pub mod opacity;
+pub mod polygon;
+pub mod progress;
+pub mod ray;
+pub mod sampling;
+pub mod triangle;
+
+mod exact;
+
+pub use aabb::{Aabb, SlabRay};
+pub use differential::RayDifferential;
+pub use falloff::{Falloff, FalloffError};
+pub use frame::Frame;
+pub use glam;
+pub use mesh::{MeshError, MeshObject, TriangleMesh};
+pub use offset::offset_origin;
+pub use opacity::OpticalDepth;
+pub use polygon::PolygonMesh;
+pub use progress::{Cancelled, Progress};
+pub use ray::Ray;
+pub use triangle::{TriangleHit, intersect_triangle, is_degenerate, segment_hits_triangle};

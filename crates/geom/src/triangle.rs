@@ -1,0 +1,280 @@
+//! THE ray-triangle predicate of the workspace, exact.
+//!
+//! # Theorem
+//! Let `o`, `d`, `tnear`, `tfar` be those of a [valid](Ray::is_valid) ray and `a`, `b`, `c` finite points, all as given
+//! in `f32`, and `A = a - o` and so on in exact arithmetic. With
+//!
+//! ```text
+//! U = det(d, C, B)   V = det(d, A, C)   W = det(d, B, A)   D = U + V + W   T = -det(A, B, C)
+//! ```
+//!
+//! [`segment_hits_triangle`] is true if and only if `D != 0`, none of `U`, `V`, `W` has the sign opposite to `D`, and
+//! `tnear < T / D < tfar`: the open segment meets the closed triangle (edges and vertices included) in one point.
+//!
+//! Consequences: degenerate triangles (`D = 0` for every `d`) and triangles whose plane contains the direction are never
+//! hit; the answer depends on nothing but the numbers given, hence not on the instruction set, the order of corners or
+//! triangles, or the structure that led here; and a segment from strictly inside a closed mesh to strictly outside hits at
+//! least one of its triangles, since the crossing points of segments moved a little to the side have a limit on some
+//! closed triangle whose plane does not contain the direction.
+//!
+//! # How
+//! A filter in `f64` decides nearly always; what it can't decide is summed exactly in integers (`exact.rs`). SIMD kernels
+//! (`kernel/`) put a filter in `f32` before it.
+//!
+//! # Source
+//! Edge determinants and the order of the tests: Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, JCGT 2(1),
+//! 2013. Filters: Shewchuk 1997, without his expansions: products of `f32` are short integers.
+
+use crate::{Ray, exact::Accumulator};
+use glam::DVec3;
+
+/// Where a segment meets a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TriangleHit {
+    /// Ray parameter `T / D`, rounded to `f32` from a value off by less than 2^-28 of itself.
+    pub t: f32,
+    /// Barycentric weight of the second corner, in `[0, 1]`, rounded.
+    pub u: f32,
+    /// Barycentric weight of the third corner, in `[0, 1]`, rounded.
+    pub v: f32,
+    /// Whether the corners run counter-clockwise as seen from the ray's origin side.
+    pub front: bool,
+}
+
+/// Relative bound on the rounding of every determinant below, in units of `|largest component|` of its factors.
+///
+/// Differences of `f32` are rounded once in `f64`, `u = 2^-53`. A determinant is six products of three such numbers: at
+/// most 3 roundings of its factors, 3 multiplications or subtractions inside, 3 additions outside, so each product
+/// carries at most `(1 + u)^9`: in all `6 * 9 u (1 + tiny)` of the product of the three largest components. 2^-47 is 64 u.
+/// Nothing under- or overflows: products of four `f32` lie between `2^-596` and `2^512`.
+const DET_ERROR: f64 = 1.0 / (1u64 << 47) as f64;
+
+/// The filter's determinants and bounds.
+struct Filter {
+    /// `U`, `V`, `W`.
+    edges: [f64; 3],
+    /// Bound on the error of each of them.
+    edge_error: f64,
+    /// `T`.
+    volume: f64,
+    /// Bound on its error.
+    volume_error: f64,
+}
+
+impl Filter {
+    #[inline]
+    fn new(ray: &Ray, corners: [[f32; 3]; 3]) -> Self {
+        let origin = ray.origin.as_dvec3();
+        let d = ray.direction.as_dvec3();
+        let [a, b, c] = corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()) - origin);
+        let [ab, bc, ca] = [a.cross(b), b.cross(c), c.cross(a)];
+        let size = |v: DVec3| v.abs().max_element();
+        let (sa, sb, sc) = (size(a), size(b), size(c));
+        let pairs = (sa * sb).max(sb * sc).max(sc * sa);
+        Self {
+            edges: [-d.dot(bc), -d.dot(ca), -d.dot(ab)],
+            edge_error: DET_ERROR * size(d) * pairs,
+            volume: -a.dot(bc),
+            volume_error: DET_ERROR * sa * sb * sc,
+        }
+    }
+}
+
+/// Sign of `x` if it is larger than `error`.
+#[inline]
+fn certain_sign(x: f64, error: f64) -> Option<i32> {
+    if x > error {
+        Some(1)
+    } else if x < -error {
+        Some(-1)
+    } else {
+        None
+    }
+}
+
+/// Adds `det(x, y, z)`, times `factor` if there is one.
+fn add_det(sum: &mut Accumulator, x: [f32; 3], y: [f32; 3], z: [f32; 3], factor: Option<f32>, negate: bool) {
+    for (i, j, k, odd) in [
+        (0, 1, 2, false),
+        (1, 2, 0, false),
+        (2, 0, 1, false),
+        (0, 2, 1, true),
+        (1, 0, 2, true),
+        (2, 1, 0, true),
+    ] {
+        match factor {
+            None => sum.add_product(&[x[i], y[j], z[k]], odd != negate),
+            Some(f) => sum.add_product(&[f, x[i], y[j], z[k]], odd != negate),
+        }
+    }
+}
+
+/// `det(d, p - o, q - o)`, exactly.
+fn exact_edge(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> Accumulator {
+    let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
+    let mut sum = Accumulator::ZERO;
+    add_det(&mut sum, d, p, q, None, false);
+    add_det(&mut sum, d, p, o, None, true);
+    add_det(&mut sum, d, o, q, None, true);
+    sum
+}
+
+/// Adds `factor * D`: `-det(d, a, b) - det(d, b, c) - det(d, c, a)`, where the origin cancels.
+fn add_exact_d(
+    sum: &mut Accumulator,
+    ray: &Ray,
+    [a, b, c]: [[f32; 3]; 3],
+    factor: Option<f32>,
+    negate: bool,
+) {
+    let d = ray.direction.to_array();
+    add_det(sum, d, a, b, factor, !negate);
+    add_det(sum, d, b, c, factor, !negate);
+    add_det(sum, d, c, a, factor, !negate);
+}
+
+/// Adds `T`: `-det(a - o, b - o, c - o)`.
+fn add_exact_t(sum: &mut Accumulator, ray: &Ray, [a, b, c]: [[f32; 3]; 3]) {
+    let o = ray.origin.to_array();
+    add_det(sum, a, b, c, None, true);
+    add_det(sum, o, b, c, None, false);
+    add_det(sum, a, o, c, None, false);
+    add_det(sum, a, b, o, None, false);
+}
+
+/// Sign of `D` if the line meets the closed triangle in one point, else 0.
+#[inline]
+fn line_side(ray: &Ray, corners: [[f32; 3]; 3], filter: &Filter) -> i32 {
+    let signs = filter.edges.map(|x| certain_sign(x, filter.edge_error));
+    let (mut positive, mut negative) = (signs.contains(&Some(1)), signs.contains(&Some(-1)));
+    if positive && negative {
+        return 0;
+    }
+    if signs.contains(&None) {
+        return line_side_exact(ray, corners, signs, &mut positive, &mut negative);
+    }
+    i32::from(positive) - i32::from(negative)
+}
+
+#[cold]
+fn line_side_exact(
+    ray: &Ray,
+    [a, b, c]: [[f32; 3]; 3],
+    signs: [Option<i32>; 3],
+    positive: &mut bool,
+    negative: &mut bool,
+) -> i32 {
+    for (sign, (p, q)) in signs.into_iter().zip([(c, b), (a, c), (b, a)]) {
+        if sign.is_none() {
+            let sign = exact_edge(ray, p, q).sign();
+            *positive |= sign > 0;
+            *negative |= sign < 0;
+            if *positive && *negative {
+                return 0;
+            }
+        }
+    }
+    i32::from(*positive) - i32::from(*negative)
+}
+
+/// Whether `T / D` lies strictly between the ends of the segment; `side` is the sign of `D`.
+#[inline]
+fn within_segment(ray: &Ray, corners: [[f32; 3]; 3], filter: &Filter, side: i32) -> bool {
+    let d = filter.edges[0] + filter.edges[1] + filter.edges[2];
+    // Sign of T - t D: three more errors of an edge, and two roundings each of sums and product.
+    let beyond = |t: f32| {
+        let td = f64::from(t) * d;
+        let error = filter.volume_error
+            + f64::from(t) * 4.0 * filter.edge_error
+            + (filter.volume.abs() + td.abs()) * DET_ERROR;
+        certain_sign(filter.volume - td, error).unwrap_or_else(|| exact_beyond(ray, corners, t))
+    };
+    beyond(ray.tnear) == side && (ray.tfar == f32::INFINITY || beyond(ray.tfar) == -side)
+}
+
+/// Sign of `T - t D`, exactly.
+#[cold]
+fn exact_beyond(ray: &Ray, corners: [[f32; 3]; 3], t: f32) -> i32 {
+    let mut sum = Accumulator::ZERO;
+    add_exact_t(&mut sum, ray, corners);
+    add_exact_d(&mut sum, ray, corners, Some(t), true);
+    sum.sign()
+}
+
+/// Whether the open segment of `ray` meets the closed triangle; exact, see the [module](self).
+///
+/// A ray that is not [valid](Ray::is_valid) hits nothing, nor does one hit a triangle with a coordinate that is not
+/// finite.
+#[inline]
+pub fn segment_hits_triangle(ray: &Ray, corners: [[f32; 3]; 3]) -> bool {
+    if !ray.is_valid() || !corners.as_flattened().iter().all(|x| x.is_finite()) {
+        return false;
+    }
+    let filter = Filter::new(ray, corners);
+    let side = line_side(ray, corners, &filter);
+    side != 0 && within_segment(ray, corners, &filter, side)
+}
+
+/// Where the open segment of `ray` meets the closed triangle: `Some` exactly when [`segment_hits_triangle`] is true.
+#[inline]
+pub fn intersect_triangle(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<TriangleHit> {
+    if !ray.is_valid() || !corners.as_flattened().iter().all(|x| x.is_finite()) {
+        return None;
+    }
+    let filter = Filter::new(ray, corners);
+    let side = line_side(ray, corners, &filter);
+    if side == 0 || !within_segment(ray, corners, &filter, side) {
+        return None;
+    }
+    let d = filter.edges[0] + filter.edges[1] + filter.edges[2];
+    let accurate = 2f64.powi(-29);
+    let t = if filter.volume_error < filter.volume.abs() * accurate
+        && 4.0 * filter.edge_error + d.abs() * DET_ERROR < d.abs() * accurate
+    {
+        filter.volume / d
+    } else {
+        exact_t(ray, corners)
+    };
+    let weight = |edge: f64| if d == 0.0 { 1.0 / 3.0 } else { (edge / d).clamp(0.0, 1.0) as f32 };
+    let (u, v) = (weight(filter.edges[1]), weight(filter.edges[2]));
+    // Rounding must not carry `t` out of the open segment that it lies in.
+    let t = (t as f32).clamp(ray.tnear.next_up(), ray.tfar.next_down());
+    Some(TriangleHit { t, u, v: v.min(1.0 - u), front: side > 0 })
+}
+
+/// `T / D` from exact sums, off by a few 2^-52 of itself.
+#[cold]
+fn exact_t(ray: &Ray, corners: [[f32; 3]; 3]) -> f64 {
+    let (mut volume, mut d) = (Accumulator::ZERO, Accumulator::ZERO);
+    add_exact_t(&mut volume, ray, corners);
+    add_exact_d(&mut d, ray, corners, None, false);
+    let ((vm, ve), (dm, de)) = (volume.approximate(), d.approximate());
+    // Two steps, so that neither factor leaves the range of f64.
+    let exponent = ve - de;
+    vm / dm * 2f64.powi(exponent / 2) * 2f64.powi(exponent - exponent / 2)
+}
+
+/// Whether a triangle of finite corners has exactly no area, so that no ray can hit it.
+pub fn is_degenerate(corners: [[f32; 3]; 3]) -> bool {
+    let [a, b, c] = corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()));
+    let (e, f) = (b - a, c - a);
+    let n = e.cross(f);
+    let error = 2f64.powi(-49) * e.abs().max_element() * f.abs().max_element();
+    if n.abs().max_element() > error {
+        return false;
+    }
+    // Each component of the normal is a sum of six products of two coordinates.
+    (0..3).all(|axis| {
+        let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
+        let mut sum = Accumulator::ZERO;
+        for (p, q) in [(0, 1), (1, 2), (2, 0)] {
+            let (p, q): ([f32; 3], [f32; 3]) = (corners[p], corners[q]);
+            sum.add_product(&[p[i], q[j]], false);
+            sum.add_product(&[p[j], q[i]], true);
+        }
+        sum.sign() == 0
+    })
+}
+
+#[cfg(test)]
+mod tests;
