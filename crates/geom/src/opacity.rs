@@ -57,7 +57,7 @@ mod tests {
         for _ in 0..3 {
             depth += OpticalDepth::from_opacity(0.85);
         }
-        assert!((depth.transmittance() - 0.15f32.powi(3)).abs() < 1e-9);
+        assert!((depth.transmittance() - (1.0 - f64::from(0.85f32)).powi(3) as f32).abs() < 1e-9);
         depth += OpticalDepth::from_opacity(1.0);
         assert!(depth.is_opaque());
         assert_eq!(depth.transmittance(), 0.0);
