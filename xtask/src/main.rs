@@ -1,1 +1,114 @@
-fn main() {}
+//! Tasks of the workspace: `cargo xtask ci`, `golden`, `bench`, `pictures`.
+
+mod pictures;
+
+use anyhow::{Context, Result, bail};
+use clap::{Parser, Subcommand};
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+    time::Instant,
+};
+
+/// Tasks of the Umbrage workspace.
+#[derive(Parser)]
+#[command(name = "cargo xtask")]
+struct Arguments {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Everything that must pass before a change lands: format, lints, tests, golden images, docs.
+    Ci,
+    /// Renders small fixed scenes and compares them with the stored images; a failing run leaves pictures of the
+    /// difference in target/golden.
+    Golden {
+        /// Store what is rendered now.
+        #[arg(long)]
+        bless: bool,
+    },
+    /// Runs a benchmark suite, prints a table and writes one JSON object a line.
+    Bench {
+        /// Suite: anyhit.
+        suite: String,
+        /// Same rows, smaller sizes, within three minutes once built.
+        #[arg(long)]
+        quick: bool,
+        /// Where to write the rows.
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
+    /// Renders the pictures of the docs again, into docs/images.
+    Pictures {
+        /// Only those whose name contains this.
+        only: Option<String>,
+    },
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    match arguments.task {
+        Task::Ci => ci(),
+        Task::Golden { bless } => golden(bless),
+        Task::Bench { suite, quick, json } => bench(&suite, quick, json.as_deref()),
+        Task::Pictures { only } => pictures::run_all(only.as_deref()),
+    }
+}
+
+/// The workspace's root.
+fn root() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+}
+
+/// A `cargo` command in the root, run by the cargo that runs this.
+fn cargo(arguments: &[&str]) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.args(arguments).current_dir(root());
+    command
+}
+
+fn run(command: &mut Command) -> Result<()> {
+    let shown = format!("{command:?}").replace('"', "");
+    eprintln!("> {shown}");
+    let start = Instant::now();
+    let status = command.status().with_context(|| shown.clone())?;
+    if !status.success() {
+        bail!("{shown}: {status}");
+    }
+    eprintln!("  {:.0} s", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+fn ci() -> Result<()> {
+    run(&mut cargo(&["fmt", "--all", "--check"]))?;
+    run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
+    let without_threads =
+        ["clippy", "-p", "umbrage-accel", "--no-default-features", "--locked", "--", "-D", "warnings"];
+    run(&mut cargo(&without_threads))?;
+    // Golden images and doc tests are among the tests.
+    run(&mut cargo(&["test", "--workspace", "--locked"]))?;
+    run(cargo(&["doc", "--workspace", "--no-deps", "--locked"]).env("RUSTDOCFLAGS", "-D warnings"))
+}
+
+fn golden(bless: bool) -> Result<()> {
+    let mut command =
+        cargo(&["test", "-p", "umbrage-tests", "--test", "golden", "--locked", "--", "--nocapture"]);
+    if bless {
+        command.env("UMBRAGE_BLESS", "1");
+    }
+    run(&mut command)
+}
+
+fn bench(suite: &str, quick: bool, json: Option<&Path>) -> Result<()> {
+    let mut command =
+        cargo(&["run", "--release", "--locked", "-p", "umbrage-benches", "--bin", "suite", "--", suite]);
+    if quick {
+        command.arg("--quick");
+    }
+    if let Some(path) = json {
+        command.arg("--json").arg(std::path::absolute(path)?);
+    }
+    run(&mut command)
+}

@@ -40,6 +40,9 @@ pub struct TriangleMesh {
     pub corner_normals: Vec<[[f32; 3]; 3]>,
     /// One texture coordinate a corner; empty, or as long as [`Self::triangles`].
     pub corner_uvs: Vec<[[f32; 2]; 3]>,
+    /// One colour a vertex, linear RGB in `[0, 1]`, that multiplies the material's; empty, or as long as
+    /// [`Self::positions`].
+    pub vertex_colors: Vec<[f32; 3]>,
     /// Named runs of triangles, in order, without gap or overlap. Empty means one unnamed opaque object.
     pub objects: Vec<MeshObject>,
 }
@@ -85,15 +88,15 @@ pub enum MeshError {
         /// How many there are.
         count: usize,
     },
-    /// A corner attribute has the wrong length.
-    #[error("{what} has {count} entries for {triangles} triangles")]
+    /// An attribute has the wrong length.
+    #[error("{what} has {count} entries where there should be {expected}")]
     AttributeLength {
         /// Name of the attribute.
         what: &'static str,
         /// How many entries it has.
         count: usize,
-        /// How many triangles there are.
-        triangles: usize,
+        /// How many triangles or vertices there are.
+        expected: usize,
     },
     /// The objects don't cover the triangles in order.
     #[error("object '{object}' covers triangles {}..{} where it should start at {expected} and end by {triangles}", .range.start, .range.end)]
@@ -177,11 +180,13 @@ impl TriangleMesh {
     pub fn validate(&self) -> Result<(), MeshError> {
         validate_slices(&self.positions, &self.triangles)?;
         let triangles = self.triangles.len();
-        for (what, count) in
-            [("corner_normals", self.corner_normals.len()), ("corner_uvs", self.corner_uvs.len())]
-        {
-            if count != 0 && count != triangles {
-                return Err(MeshError::AttributeLength { what, count, triangles });
+        for (what, count, expected) in [
+            ("corner_normals", self.corner_normals.len(), triangles),
+            ("corner_uvs", self.corner_uvs.len(), triangles),
+            ("vertex_colors", self.vertex_colors.len(), self.positions.len()),
+        ] {
+            if count != 0 && count != expected {
+                return Err(MeshError::AttributeLength { what, count, expected });
             }
         }
         let mut expected = 0;
@@ -274,7 +279,7 @@ impl TriangleMesh {
 
     /// Adds `other` behind this mesh's triangles, keeping its objects.
     ///
-    /// A corner attribute that only one of the two has is dropped.
+    /// An attribute of corners or vertices that only one of the two has is dropped.
     pub fn append(&mut self, other: &Self) {
         let vertex_base = self.positions.len() as u32;
         let triangle_base = self.triangles.len() as u32;
@@ -290,6 +295,7 @@ impl TriangleMesh {
         self.objects = objects;
         append_attribute(&mut self.corner_normals, &other.corner_normals);
         append_attribute(&mut self.corner_uvs, &other.corner_uvs);
+        append_attribute(&mut self.vertex_colors, &other.vertex_colors);
         self.positions.extend_from_slice(&other.positions);
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + vertex_base)));
     }
@@ -300,6 +306,7 @@ impl TriangleMesh {
             + size_of_val(&self.triangles[..])
             + size_of_val(&self.corner_normals[..])
             + size_of_val(&self.corner_uvs[..])
+            + size_of_val(&self.vertex_colors[..])
     }
 }
 

@@ -1,1 +1,20 @@
-//! x
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+pub mod bake;
+pub mod baked;
+pub mod camera;
+pub mod cli;
+pub mod compare;
+mod error;
+pub mod fingerprint;
+pub mod geometry;
+pub mod image;
+pub mod inspect;
+mod integrator;
+pub mod light;
+pub mod method;
+pub mod render;
+
+pub use error::RenderError;
+pub use integrator::{NO_DEPTH, RayCounts};

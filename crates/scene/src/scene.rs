@@ -76,7 +76,6 @@ pub struct Camera {
 
 /// A light source. Directions need no unit length; colours are linear RGB.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
 pub enum Light {
     /// A parallelogram with edges `u` and `v` from `corner`, emitting towards `u x v`.
     Rectangle {

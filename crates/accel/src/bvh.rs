@@ -1,0 +1,365 @@
+//! The hierarchy over the triangles of one mesh.
+
+use crate::{
+    BackEnd, BuildError, BuildOptions, Statistics,
+    kernel::{Job, Kernel},
+    node::Tree,
+    topology::Topology,
+    traversal,
+};
+use std::ops::ControlFlow;
+use umbrage_geom::{
+    Aabb, OpticalDepth, Ray, TriangleHit,
+    kernel::{LANES, TriangleBlock},
+    mesh::{validate_positions, validate_slices},
+};
+
+/// Most triangles, and most instances: `obvhs` and references to children count twice as many nodes in 31 bits.
+pub(crate) const MAX_PRIMS: usize = 1 << 30;
+
+/// A hit on a mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Ray parameter, see [`TriangleHit::t`].
+    pub t: f32,
+    /// Barycentric weight of the second corner.
+    pub u: f32,
+    /// Barycentric weight of the third corner.
+    pub v: f32,
+    /// Index of the triangle in the caller's array.
+    pub prim_index: u32,
+    /// Whether the corners run counter-clockwise as seen from the ray's origin side.
+    pub front: bool,
+}
+
+impl Hit {
+    /// `hit` on triangle `prim_index`.
+    #[inline]
+    pub fn new(prim_index: u32, TriangleHit { t, u, v, front }: TriangleHit) -> Self {
+        Self { t, u, v, prim_index, front }
+    }
+
+    /// The order that defines the closest hit: by `t`, then by `prim_index`.
+    #[inline]
+    pub fn is_before(&self, other: &Self) -> bool {
+        self.t < other.t || (self.t == other.t && self.prim_index < other.prim_index)
+    }
+}
+
+/// An 8-wide bounding volume hierarchy over triangles; immutable but for [`Self::refit`].
+///
+/// Every query answers exactly what a loop over all triangles with [`umbrage_geom::segment_hits_triangle`] or
+/// [`umbrage_geom::intersect_triangle`] answers ([`crate::brute`]), whatever the build options and back end: the segment is
+/// open, triangles are closed, rays that are not [valid](Ray::is_valid) and degenerate triangles miss.
+///
+/// # Layout
+/// Nodes of 224 bytes; leaves are blocks of up to eight triangles of 288 bytes, with 32 for indices.
+#[derive(Clone, Debug)]
+pub struct Bvh {
+    pub(crate) tree: Tree,
+    /// Leaf by leaf.
+    pub(crate) blocks: Vec<TriangleBlock>,
+    /// Index of each lane's triangle; unused lanes, which come last, have `u32::MAX`.
+    pub(crate) prims: Vec<[u32; LANES]>,
+    /// The caller's, for refits.
+    triangles: Vec<[u32; 3]>,
+    vertices: usize,
+    back_end: BackEnd,
+}
+
+fn corners(positions: &[[f32; 3]], triangle: [u32; 3]) -> [[f32; 3]; 3] {
+    triangle.map(|v| positions[v as usize])
+}
+
+fn triangle_boxes(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<Aabb> {
+    let aabb = |&t: &[u32; 3]| Aabb::from_points(&corners(positions, t));
+    #[cfg(feature = "rayon")]
+    {
+        use rayon::prelude::*;
+        triangles.par_iter().with_min_len(1 << 14).map(aabb).collect()
+    }
+    #[cfg(not(feature = "rayon"))]
+    triangles.iter().map(aabb).collect()
+}
+
+impl Bvh {
+    /// Builds over all `triangles`; takes `O(n log n)` time.
+    ///
+    /// # Errors
+    /// [`BuildError::Mesh`] as from [`validate_slices`]; [`BuildError::TooMany`] beyond `2^30` triangles.
+    pub fn build(
+        positions: &[[f32; 3]],
+        triangles: &[[u32; 3]],
+        options: &BuildOptions,
+    ) -> Result<Self, BuildError> {
+        validate_slices(positions, triangles)?;
+        if triangles.len() > MAX_PRIMS {
+            return Err(BuildError::TooMany { what: "triangles", count: triangles.len(), limit: MAX_PRIMS });
+        }
+        let boxes = triangle_boxes(positions, triangles);
+        let leaf_size = u32::from(options.leaf_size).clamp(1, LANES as u32);
+        let topology = Topology::build(&boxes, options.quality, leaf_size);
+        let leaves = topology.leaves.iter();
+        let prims = leaves.map(|leaf| {
+            let mut lanes = [u32::MAX; LANES];
+            let run = &topology.order[leaf.start as usize..leaf.end as usize];
+            lanes[..run.len()].copy_from_slice(run);
+            lanes
+        });
+        let mut bvh = Self {
+            tree: Tree { nodes: topology.nodes },
+            blocks: vec![TriangleBlock::EMPTY; topology.leaves.len()],
+            prims: prims.collect(),
+            triangles: triangles.to_vec(),
+            vertices: positions.len(),
+            back_end: BackEnd::best(),
+        };
+        bvh.fill(positions);
+        Ok(bvh)
+    }
+
+    /// Moves the vertices and keeps the tree; takes linear time and no memory.
+    ///
+    /// Answers stay exact for any motion. Queries get slower the more the mesh deforms: build again then.
+    ///
+    /// # Errors
+    /// [`BuildError::Count`] unless there are as many `positions` as at the build; [`BuildError::Mesh`] for coordinates as
+    /// from [`validate_positions`]. Nothing has moved then.
+    pub fn refit(&mut self, positions: &[[f32; 3]]) -> Result<(), BuildError> {
+        if positions.len() != self.vertices {
+            return Err(BuildError::Count {
+                what: "vertices",
+                count: positions.len(),
+                expected: self.vertices,
+            });
+        }
+        validate_positions(positions)?;
+        self.fill(positions);
+        Ok(())
+    }
+
+    /// Triangles in a leaf.
+    #[inline]
+    pub(crate) fn leaf_len(&self, leaf: usize) -> usize {
+        self.prims[leaf].iter().take_while(|&&prim| prim != u32::MAX).count()
+    }
+
+    /// Writes corners into leaves and boxes into nodes.
+    fn fill(&mut self, positions: &[[f32; 3]]) {
+        for (block, prims) in self.blocks.iter_mut().zip(&self.prims) {
+            for (lane, &prim) in prims.iter().enumerate().take_while(|&(_, &prim)| prim != u32::MAX) {
+                block.set(lane, corners(positions, self.triangles[prim as usize]));
+            }
+        }
+        let Self { tree, blocks, prims, .. } = self;
+        tree.refit(|leaf| {
+            let used = prims[leaf].iter().take_while(|&&prim| prim != u32::MAX).count();
+            (0..used).flat_map(|lane| blocks[leaf].get(lane)).fold(Aabb::EMPTY, Aabb::with_point)
+        });
+    }
+
+    /// Whether the open segment meets any triangle.
+    pub fn any_hit(&self, ray: &Ray) -> bool {
+        self.any_hit_with(ray, &mut ())
+    }
+
+    /// [`Self::any_hit`], counted.
+    pub fn any_hit_with(&self, ray: &Ray, stats: &mut impl Statistics) -> bool {
+        self.back_end.run(AnyHit { bvh: self, ray, stats })
+    }
+
+    /// The hit with the smallest `t` (rounded as in [`TriangleHit::t`]), ties going to the smallest `prim_index`.
+    pub fn closest_hit(&self, ray: &Ray) -> Option<Hit> {
+        self.closest_hit_with(ray, &mut ())
+    }
+
+    /// [`Self::closest_hit`], counted.
+    pub fn closest_hit_with(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<Hit> {
+        self.back_end.run(ClosestHit { bvh: self, ray, stats })
+    }
+
+    /// Calls `visit` with every triangle hit, exactly once each, in no promised order, until it breaks. Returns what the
+    /// last visit returned.
+    pub fn for_each_hit(
+        &self,
+        ray: &Ray,
+        visit: impl FnMut(u32, TriangleHit) -> ControlFlow<()>,
+    ) -> ControlFlow<()> {
+        self.for_each_hit_with(ray, visit, &mut ())
+    }
+
+    /// [`Self::for_each_hit`], counted.
+    pub fn for_each_hit_with(
+        &self,
+        ray: &Ray,
+        visit: impl FnMut(u32, TriangleHit) -> ControlFlow<()>,
+        stats: &mut impl Statistics,
+    ) -> ControlFlow<()> {
+        self.back_end.run(ForEachHit { bvh: self, ray, visit, stats })
+    }
+
+    /// Sum of `depth_of(prim_index)` over all triangles hit, [`OpticalDepth::OPAQUE`] as soon as nothing gets through.
+    ///
+    /// `depth_of` must give the same depth for the same triangle; it is not called for all once the sum is opaque.
+    pub fn transmittance(&self, ray: &Ray, depth_of: impl Fn(u32) -> OpticalDepth) -> OpticalDepth {
+        self.transmittance_with(ray, depth_of, &mut ())
+    }
+
+    /// [`Self::transmittance`], counted.
+    pub fn transmittance_with(
+        &self,
+        ray: &Ray,
+        depth_of: impl Fn(u32) -> OpticalDepth,
+        stats: &mut impl Statistics,
+    ) -> OpticalDepth {
+        self.back_end.run(Transmittance { bvh: self, ray, depth_of, stats })
+    }
+
+    /// [`Self::any_hit`] of each ray. With the `rayon` feature, over all threads of the caller's pool.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn any_hits(&self, rays: &[Ray], hits: &mut [bool]) {
+        assert_eq!(rays.len(), hits.len(), "as many answers as rays");
+        let batch = |(rays, hits)| self.back_end.run(AnyHits { bvh: self, rays, hits, stats: &mut () });
+        #[cfg(feature = "rayon")]
+        {
+            use rayon::prelude::*;
+            rays.par_chunks(1 << 11).zip(hits.par_chunks_mut(1 << 11)).for_each(batch);
+        }
+        #[cfg(not(feature = "rayon"))]
+        batch((rays, hits));
+    }
+
+    /// [`Self::any_hits`], counted, on this thread alone.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn any_hits_with(&self, rays: &[Ray], hits: &mut [bool], stats: &mut impl Statistics) {
+        assert_eq!(rays.len(), hits.len(), "as many answers as rays");
+        self.back_end.run(AnyHits { bvh: self, rays, hits, stats });
+    }
+
+    /// Smallest box around all triangles.
+    pub fn bounds(&self) -> Aabb {
+        self.tree.bounds()
+    }
+
+    /// Bytes that the hierarchy holds, its copy of the triangles and indices included.
+    pub fn bytes(&self) -> usize {
+        self.tree.bytes()
+            + size_of_val(&self.blocks[..])
+            + size_of_val(&self.prims[..])
+            + size_of_val(&self.triangles[..])
+    }
+
+    /// Number of triangles.
+    pub fn prim_count(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// What queries run on.
+    pub fn back_end(&self) -> BackEnd {
+        self.back_end
+    }
+
+    /// The same hierarchy on another back end. Answers are the same.
+    ///
+    /// # Errors
+    /// [`BuildError::BackEnd`] if this processor lacks it.
+    pub fn with_back_end(self, back_end: BackEnd) -> Result<Self, BuildError> {
+        if back_end.is_supported() {
+            Ok(Self { back_end, ..self })
+        } else {
+            Err(BuildError::BackEnd(back_end))
+        }
+    }
+}
+
+struct AnyHit<'a, S> {
+    bvh: &'a Bvh,
+    ray: &'a Ray,
+    stats: &'a mut S,
+}
+
+impl<S: Statistics> Job for AnyHit<'_, S> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> bool {
+        traversal::any_hit(kernel, self.bvh, self.ray, self.stats)
+    }
+}
+
+struct AnyHits<'a, S> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
+    hits: &'a mut [bool],
+    stats: &'a mut S,
+}
+
+impl<S: Statistics> Job for AnyHits<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        for (ray, hit) in self.rays.iter().zip(self.hits) {
+            *hit = traversal::any_hit(kernel, self.bvh, ray, self.stats);
+        }
+    }
+}
+
+struct ClosestHit<'a, S> {
+    bvh: &'a Bvh,
+    ray: &'a Ray,
+    stats: &'a mut S,
+}
+
+impl<S: Statistics> Job for ClosestHit<'_, S> {
+    type Output = Option<Hit>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> Option<Hit> {
+        traversal::closest_hit(kernel, self.bvh, self.ray, None, self.stats)
+    }
+}
+
+struct ForEachHit<'a, F, S> {
+    bvh: &'a Bvh,
+    ray: &'a Ray,
+    visit: F,
+    stats: &'a mut S,
+}
+
+impl<F: FnMut(u32, TriangleHit) -> ControlFlow<()>, S: Statistics> Job for ForEachHit<'_, F, S> {
+    type Output = ControlFlow<()>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(mut self, kernel: K) -> ControlFlow<()> {
+        traversal::for_each_hit(kernel, self.bvh, self.ray, &mut self.visit, self.stats)
+    }
+}
+
+struct Transmittance<'a, F, S> {
+    bvh: &'a Bvh,
+    ray: &'a Ray,
+    depth_of: F,
+    stats: &'a mut S,
+}
+
+impl<F: Fn(u32) -> OpticalDepth, S: Statistics> Job for Transmittance<'_, F, S> {
+    type Output = OpticalDepth;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> OpticalDepth {
+        let mut sum = OpticalDepth::CLEAR;
+        let mut add = |prim| {
+            sum += (self.depth_of)(prim);
+            if sum.is_opaque() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        match traversal::for_each_crossing(kernel, self.bvh, self.ray, &mut add, self.stats) {
+            ControlFlow::Break(()) => OpticalDepth::OPAQUE,
+            ControlFlow::Continue(()) => sum,
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! From boxes to the shape of an 8-wide tree.
+//!
+//! Here: what `obvhs` is given, its binary tree, the collapse to eight children. Not here: the boxes of the result, which
+//! `node.rs` takes from the primitives themselves; so nothing here can make an answer wrong.
+
+use crate::{
+    BuildQuality,
+    node::{LEAF, MAX_LEVELS, Node, WIDTH},
+};
+use obvhs::{
+    bvh2::{Bvh2, reinsertion::ReinsertionOptimizer},
+    ploc::{PlocBuilder, PlocSearchDistance, SortPrecision},
+};
+use std::ops::Range;
+use umbrage_geom::{Aabb, glam::DVec3};
+
+/// Level from which a subtree is cut into equal parts, whatever `obvhs` made of it: the rest then has at most 11 levels.
+const BALANCE_FROM: usize = MAX_LEVELS - 12;
+
+/// An 8-wide tree without boxes.
+pub(crate) struct Topology {
+    pub(crate) nodes: Vec<Node>,
+    /// Each leaf's part of `order`, 1 to `leaf_size` long.
+    pub(crate) leaves: Vec<Range<u32>>,
+    /// The primitives, leaf by leaf.
+    pub(crate) order: Vec<u32>,
+}
+
+/// Mixes bits (the finalizer of MurmurHash3) into a number in `[0, 1)`.
+fn hash(seed: u32) -> f32 {
+    let mut h = seed;
+    h = (h ^ h >> 16).wrapping_mul(0x85eb_ca6b);
+    h = (h ^ h >> 13).wrapping_mul(0xc2b2_ae35);
+    (h ^ h >> 16) as f32 / 2f32.powi(32)
+}
+
+/// Boxes fit for `obvhs`: scaled so that no area over- or underflows, and each face moved out by a random part of 1/256 of
+/// the box.
+///
+/// PLOC merges what are mutually nearest. Where many unions have equal areas (grids, copies of one triangle) each
+/// cluster prefers its successor, one pair is merged a round and the build takes quadratic time; unequal boxes prevent that.
+fn hints(boxes: &[Aabb]) -> Vec<obvhs::aabb::Aabb> {
+    let largest =
+        boxes.iter().fold(0f32, |m, b| m.max(b.min.abs().max_element()).max(b.max.abs().max_element()));
+    let largest = f64::from(largest.max(f32::from_bits(1)));
+    let scale = 2f64.powi(40 - largest.log2().ceil() as i32);
+    boxes
+        .iter()
+        .enumerate()
+        .map(|(i, b)| {
+            let (min, max) = (b.min.as_dvec3() * scale, b.max.as_dvec3() * scale);
+            let (extent, size) = ((max - min).max_element(), min.abs().max(max.abs()).max_element());
+            // Boxes of a few units in the last place need more room for different values.
+            let coarse = if extent < size * 2f64.powi(-22) { size * 2f64.powi(-14) } else { 0.0 };
+            let pad = (extent / 256.0).max(coarse).max(2f64.powi(8));
+            let face = |k: u32| pad * f64::from(hash((i as u32).wrapping_mul(6).wrapping_add(k)));
+            let low = DVec3::new(face(0), face(1), face(2));
+            let high = DVec3::new(face(3), face(4), face(5)) + 2f64.powi(6);
+            obvhs::aabb::Aabb::new((min - low).as_vec3a(), (max + high).as_vec3a())
+        })
+        .collect()
+}
+
+/// Subtrees of the binary tree cover runs of the primitives in its depth-first order.
+struct Binary {
+    bvh: Bvh2,
+    /// First of `order` below each node.
+    first: Vec<u32>,
+    /// Primitives below each node.
+    count: Vec<u32>,
+    order: Vec<u32>,
+}
+
+/// Largest number of nodes on a path from the root.
+fn depth(bvh: &Bvh2) -> usize {
+    let (mut deepest, mut stack) = (0, vec![(0u32, 1)]);
+    while let Some((index, level)) = stack.pop() {
+        deepest = deepest.max(level);
+        let node = &bvh.nodes[index as usize];
+        if !node.is_leaf() {
+            stack.extend([(node.first_index, level + 1), (node.first_index + 1, level + 1)]);
+        }
+    }
+    deepest
+}
+
+impl Binary {
+    fn build(boxes: &[Aabb], quality: BuildQuality) -> Self {
+        let hints = hints(boxes);
+        let indices = (0..boxes.len() as u32).collect();
+        let search = match quality {
+            BuildQuality::Fast => PlocSearchDistance::Low,
+            BuildQuality::High => PlocSearchDistance::Medium,
+        };
+        let mut bvh = PlocBuilder::new().build(search, &hints, indices, SortPrecision::U128, 1);
+        if quality == BuildQuality::High {
+            let mut optimizer = ReinsertionOptimizer::default();
+            for round in 0..8 {
+                // Its stack is as large as this says; each round may deepen the tree.
+                bvh.max_depth = depth(&bvh) + 1;
+                optimizer.run(&mut bvh, 0.2, Some(vec![1.0 / (2 * round + 1) as f32]));
+            }
+        }
+        Self::order(bvh)
+    }
+
+    fn order(bvh: Bvh2) -> Self {
+        let mut this = Self {
+            first: vec![0; bvh.nodes.len()],
+            count: vec![0; bvh.nodes.len()],
+            order: Vec::with_capacity(bvh.primitive_indices.len()),
+            bvh,
+        };
+        let mut preorder = Vec::with_capacity(this.bvh.nodes.len());
+        let mut stack = vec![0u32];
+        while let Some(index) = stack.pop() {
+            preorder.push(index);
+            let i = index as usize;
+            let node = this.bvh.nodes[i];
+            this.first[i] = this.order.len() as u32;
+            if node.is_leaf() {
+                let range = node.first_index as usize..(node.first_index + node.prim_count) as usize;
+                this.order.extend_from_slice(&this.bvh.primitive_indices[range]);
+                this.count[i] = node.prim_count;
+            } else {
+                stack.extend([node.first_index + 1, node.first_index]);
+            }
+        }
+        for &index in preorder.iter().rev() {
+            let node = &this.bvh.nodes[index as usize];
+            if !node.is_leaf() {
+                let child = node.first_index as usize;
+                this.count[index as usize] = this.count[child] + this.count[child + 1];
+            }
+        }
+        this
+    }
+}
+
+/// What becomes one child.
+#[derive(Clone, Copy)]
+enum Part {
+    /// A subtree of the binary tree.
+    Node(u32),
+    /// A run of its order.
+    Run { first: u32, count: u32 },
+}
+
+impl Part {
+    fn range(self, binary: &Binary) -> Range<u32> {
+        match self {
+            Self::Node(i) => binary.first[i as usize]..binary.first[i as usize] + binary.count[i as usize],
+            Self::Run { first, count } => first..first + count,
+        }
+    }
+
+    /// Area of a subtree; runs only meet each other and go by length.
+    fn priority(self, binary: &Binary) -> f32 {
+        match self {
+            Self::Node(i) => binary.bvh.nodes[i as usize].aabb().half_area(),
+            Self::Run { count, .. } => count as f32,
+        }
+    }
+
+    /// The two halves of a part that is more than one primitive.
+    fn split(self, binary: &Binary) -> [Self; 2] {
+        match self {
+            Self::Node(i) if !binary.bvh.nodes[i as usize].is_leaf() => {
+                let child = binary.bvh.nodes[i as usize].first_index;
+                [Self::Node(child), Self::Node(child + 1)]
+            }
+            _ => {
+                let Range { start, end } = self.range(binary);
+                let middle = start + (end - start) / 2;
+                [
+                    Self::Run { first: start, count: middle - start },
+                    Self::Run { first: middle, count: end - middle },
+                ]
+            }
+        }
+    }
+}
+
+/// Up to eight parts of `part`, opening the one of largest area first, largest first in the result.
+fn open(part: Part, binary: &Binary, leaf_size: u32) -> Vec<Part> {
+    let is_leaf = |p: &Part| p.range(binary).len() as u32 <= leaf_size;
+    let mut parts = vec![part];
+    while parts.len() < WIDTH {
+        let candidates = parts.iter().enumerate().filter(|(_, p)| !is_leaf(p));
+        let largest = candidates.max_by(|a, b| a.1.priority(binary).total_cmp(&b.1.priority(binary)));
+        let Some((index, &largest)) = largest else { break };
+        let [left, right] = largest.split(binary);
+        parts[index] = left;
+        parts.push(right);
+    }
+    parts.sort_by(|a, b| b.priority(binary).total_cmp(&a.priority(binary)));
+    parts
+}
+
+impl Topology {
+    /// A tree over `boxes`, of which there is at least one, with leaves of at most `leaf_size` primitives.
+    pub(crate) fn build(boxes: &[Aabb], quality: BuildQuality, leaf_size: u32) -> Self {
+        let binary = Binary::build(boxes, quality);
+        let mut nodes = vec![Node::EMPTY];
+        let mut leaves = Vec::new();
+        // (part, index of its node, level)
+        let mut stack = vec![(Part::Node(0), 0, 1)];
+        while let Some((part, index, level)) = stack.pop() {
+            let part = if level < BALANCE_FROM {
+                part
+            } else {
+                let range = part.range(&binary);
+                Part::Run { first: range.start, count: range.len() as u32 }
+            };
+            let mut inner = Vec::with_capacity(WIDTH);
+            for (slot, child) in open(part, &binary, leaf_size).into_iter().enumerate() {
+                let range = child.range(&binary);
+                nodes[index].children[slot] = if range.len() as u32 <= leaf_size {
+                    leaves.push(range);
+                    LEAF | (leaves.len() - 1) as u32
+                } else {
+                    inner.push((child, nodes.len(), level + 1));
+                    nodes.push(Node::EMPTY);
+                    (nodes.len() - 1) as u32
+                };
+            }
+            stack.extend(inner.into_iter().rev());
+        }
+        Self { nodes, leaves, order: binary.order }
+    }
+}

@@ -1,0 +1,107 @@
+//! What a filter calls certain, against the exact predicate.
+
+use super::*;
+use crate::segment_hits_triangle;
+use glam::Vec3;
+use proptest::prelude::*;
+
+fn check_mask(
+    block: &TriangleBlock,
+    ray: &Ray,
+    used: usize,
+    mask: BlockMask,
+    name: &str,
+) -> Result<(), TestCaseError> {
+    prop_assert_eq!(mask.certain & mask.uncertain, 0);
+    prop_assert_eq!(u32::from(mask.certain | mask.uncertain) >> used, 0, "{}: an unused lane", name);
+    for lane in 0..used {
+        if mask.uncertain >> lane & 1 == 0 {
+            let truth = segment_hits_triangle(ray, block.get(lane));
+            prop_assert_eq!(mask.certain >> lane & 1 == 1, truth, "{} lane {}", name, lane);
+        }
+    }
+    Ok(())
+}
+
+fn check(triangles: &[[[f32; 3]; 3]], ray: &Ray) -> Result<(), TestCaseError> {
+    let Some(prepared) = BlockRay::new(ray) else { return Ok(()) };
+    let mut block = TriangleBlock::EMPTY;
+    triangles.iter().enumerate().for_each(|(lane, &corners)| block.set(lane, corners));
+    check_mask(&block, ray, triangles.len(), scalar::filter(&block, &prepared), "scalar")?;
+    #[cfg(target_arch = "x86_64")]
+    if let Some(avx2) = x86::Avx2::detect() {
+        check_mask(&block, ray, triangles.len(), avx2.filter(&block, &prepared), "avx2")?;
+    }
+    Ok(())
+}
+
+fn coordinate() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        6 => (-4i8..=4).prop_map(f32::from),
+        4 => -1f32..1.0,
+        1 => prop::sample::select(vec![
+            1e-40f32, -1e-45, 1e12, -1e12, 1e-12, 1e20, 1e24, -1e24, -0.0, 16_777_216.0, 1.000_000_1,
+        ]),
+    ]
+}
+
+fn point() -> impl Strategy<Value = [f32; 3]> {
+    [coordinate(), coordinate(), coordinate()]
+}
+
+fn ends() -> impl Strategy<Value = (f32, f32)> {
+    let near = prop::sample::select(vec![0f32, 0.5, 1.0, 1e-42, 1e-30]);
+    let far =
+        prop::sample::select(vec![f32::INFINITY, 1.0, 2.0, 1.000_000_1, 0.999_999_94, 1e-3, 1e-44, 1e35]);
+    (near, far)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(8000))]
+    #[test]
+    fn certain_answers_are_right(
+        triangles in prop::collection::vec([point(), point(), point()], 0..=8), o in point(), d in point(),
+        (tnear, tfar) in ends(), scale in prop::sample::select(vec![1f32, 1e-40, 1e-38, 1e-20, 1e14]),
+    ) {
+        let direction = Vec3::from(d) * scale;
+        check(&triangles, &Ray { origin: o.into(), direction, tnear, tfar })?;
+    }
+
+    #[test]
+    fn certain_answers_are_right_near_edges_and_ends(
+        corners in [point(), point(), point()], o in point(), (u, v) in (-0.1f32..1.1, -0.1f32..1.1),
+        onto in 0..4, (tnear, tfar) in ends(), nudge in -4i32..=4, far_away in prop::sample::select(vec![0f32, 1e3, 1e6]),
+        size in prop::sample::select(vec![1f32, 1e-3, 1e9]),
+    ) {
+        // Aimed inside, at an edge, at a corner, or at the far edge, `far_away` from the origin, missed by a few roundings.
+        let (u, v) = match onto { 0 => (u, v), 1 => (u, 0.0), 2 => (0.0, 0.0), _ => (u, 1.0 - u) };
+        let shifted = corners.map(|p| p.map(|x| (x + far_away) * size));
+        let [a, b, c] = shifted.map(Vec3::from);
+        let o = (Vec3::from(o) + far_away) * size;
+        let mut direction = a + (b - a) * u + (c - a) * v - o;
+        direction.x += nudge as f32 * direction.x.abs() * f32::EPSILON;
+        check(&[shifted], &Ray { origin: o, direction, tnear, tfar })?;
+    }
+}
+
+/// Share of lanes that the filter leaves open when a triangle of size 0.01 is seen from a distance of 1.
+#[test]
+fn few_lanes_stay_open() {
+    use rand_pcg::rand_core::Rng;
+    let mut random = rand_pcg::Pcg32::new(1, 2);
+    let mut uniform = || random.next_u32() as f32 / u32::MAX as f32 - 0.5;
+    let (mut open, mut hits) = (0, 0);
+    for _ in 0..20_000 {
+        let mut block = TriangleBlock::EMPTY;
+        for lane in 0..LANES {
+            let mut corner = || [uniform() * 0.01, uniform() * 0.01, 1.0 + uniform() * 0.01];
+            block.set(lane, [corner(), corner(), corner()]);
+        }
+        let ray = Ray::new([0.0; 3], [uniform() * 0.01, uniform() * 0.01, 1.0]);
+        let mask = scalar::filter(&block, &BlockRay::new(&ray).unwrap());
+        open += mask.uncertain.count_ones();
+        hits += mask.certain.count_ones();
+    }
+    assert!(hits > 5000, "{hits}");
+    assert!(open < 800, "{open} of 160000");
+}

@@ -1,0 +1,136 @@
+//! The filter on AVX2 and FMA, eight lanes at once.
+
+use super::{
+    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, SHEAR_ERROR, TriangleBlock,
+};
+use std::arch::x86_64::*;
+
+/// Proof that this processor has AVX2, FMA, BMI1, LZCNT and POPCNT.
+#[derive(Clone, Copy, Debug)]
+pub struct Avx2(());
+
+impl Avx2 {
+    /// Asks the processor.
+    pub fn detect() -> Option<Self> {
+        let all = is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+            && is_x86_feature_detected!("bmi1")
+            && is_x86_feature_detected!("lzcnt")
+            && is_x86_feature_detected!("popcnt");
+        all.then_some(Self(()))
+    }
+
+    /// Filters a block; see the [module](super).
+    ///
+    /// Fast only when inlined into a function with these target features.
+    #[inline(always)]
+    pub fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
+        // SAFETY: `self` proves the target features. Loads stay in `block`: `axes` are below 3 by construction, and
+        // rows of 32 bytes are aligned as the block is.
+        unsafe { filter(block, ray) }
+    }
+}
+
+/// `A'.x`, `A'.y`, `A.z'` of one corner.
+///
+/// # Safety
+/// AVX2 and FMA.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+unsafe fn shear(corner: &[[f32; 8]; 3], ray: &BlockRay) -> [__m256; 3] {
+    let relative = |i: usize| {
+        // SAFETY: `axes[i]` is below 3; a row is eight aligned floats.
+        let row = unsafe { _mm256_load_ps(corner.get_unchecked(ray.axes[i]).as_ptr()) };
+        _mm256_sub_ps(row, _mm256_set1_ps(ray.origin[i]))
+    };
+    let sign = _mm256_and_ps(_mm256_set1_ps(ray.sign), _mm256_set1_ps(-0.0));
+    let z = _mm256_xor_ps(relative(2), sign);
+    let x = _mm256_fnmadd_ps(_mm256_set1_ps(ray.slopes[0]), z, relative(0));
+    let y = _mm256_fnmadd_ps(_mm256_set1_ps(ray.slopes[1]), z, relative(1));
+    [x, y, z]
+}
+
+/// `a[0] * b[1] - a[1] * b[0]`.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn edge(a: [__m256; 3], b: [__m256; 3]) -> __m256 {
+    _mm256_fmsub_ps(a[0], b[1], _mm256_mul_ps(a[1], b[0]))
+}
+
+/// # Safety
+/// AVX2 and FMA.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+unsafe fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
+    // SAFETY: as of this function.
+    let [a, b, c] = unsafe {
+        [shear(&block.corners[0], ray), shear(&block.corners[1], ray), shear(&block.corners[2], ray)]
+    };
+    let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
+    let greatest = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);
+    // Unused lanes: NaN is not ordered. Depths of used lanes are never NaN.
+    let used = _mm256_cmp_ps::<_CMP_ORD_Q>(a[2], a[2]);
+    let in_front = _mm256_cmp_ps::<_CMP_NLT_UQ>(greatest, _mm256_set1_ps(ray.near.below));
+    let before_end = _mm256_cmp_ps::<_CMP_NGT_UQ>(least, _mm256_set1_ps(ray.far.above));
+    let within = _mm256_and_ps(used, _mm256_and_ps(in_front, before_end));
+
+    let absolute = |x: __m256| _mm256_andnot_ps(_mm256_set1_ps(-0.0), x);
+    let larger = |p: [__m256; 3]| _mm256_max_ps(absolute(p[0]), absolute(p[1]));
+    let across = _mm256_max_ps(_mm256_max_ps(larger(a), larger(b)), larger(c));
+    let depth = _mm256_max_ps(absolute(least), absolute(greatest));
+    let size = _mm256_add_ps(across, depth);
+    // NaN in `size` is not less: sheared coordinates are NaN only where `depth` is infinite, whatever `max` drops.
+    let sane = _mm256_cmp_ps::<_CMP_LT_OQ>(size, _mm256_set1_ps(LARGEST));
+    let error = _mm256_fmadd_ps(
+        _mm256_mul_ps(_mm256_set1_ps(EDGE_ERROR), size),
+        _mm256_fmadd_ps(_mm256_set1_ps(SHEAR_ERROR), size, across),
+        _mm256_set1_ps(f32::MIN_POSITIVE),
+    );
+    let (u, v, w) = (edge(c, b), edge(a, c), edge(b, a));
+    let lowest = _mm256_min_ps(_mm256_min_ps(u, v), w);
+    let highest = _mm256_max_ps(_mm256_max_ps(u, v), w);
+    let minus_error = _mm256_xor_ps(error, _mm256_set1_ps(-0.0));
+    let any_positive = _mm256_cmp_ps::<_CMP_GT_OQ>(highest, error);
+    let any_negative = _mm256_cmp_ps::<_CMP_LT_OQ>(lowest, minus_error);
+    let outside = _mm256_and_ps(sane, _mm256_and_ps(any_positive, any_negative));
+    let open = _mm256_andnot_ps(outside, within);
+    let open_mask = _mm256_movemask_ps(open) as u8;
+    if open_mask == 0 {
+        return BlockMask::default();
+    }
+    let all_positive = _mm256_cmp_ps::<_CMP_GT_OQ>(lowest, error);
+    let all_negative = _mm256_cmp_ps::<_CMP_LT_OQ>(highest, minus_error);
+    let inside = _mm256_and_ps(_mm256_and_ps(sane, open), _mm256_or_ps(all_positive, all_negative));
+    let clear_ends = _mm256_and_ps(
+        _mm256_cmp_ps::<_CMP_GT_OQ>(least, _mm256_set1_ps(ray.near.above)),
+        _mm256_cmp_ps::<_CMP_LT_OQ>(greatest, _mm256_set1_ps(ray.far.below)),
+    );
+    let certain = _mm256_movemask_ps(_mm256_and_ps(inside, clear_ends)) as u8;
+    let straddling = _mm256_movemask_ps(_mm256_andnot_ps(clear_ends, inside)) as u8;
+    if straddling == 0 {
+        return BlockMask { certain, uncertain: open_mask & !certain };
+    }
+
+    // Edges of one sign: make it positive.
+    let flip = _mm256_and_ps(all_negative, _mm256_set1_ps(-0.0));
+    let volume = _mm256_fmadd_ps(u, a[2], _mm256_fmadd_ps(v, b[2], _mm256_mul_ps(w, c[2])));
+    let volume = _mm256_xor_ps(volume, flip);
+    let sum = _mm256_xor_ps(_mm256_add_ps(_mm256_add_ps(u, v), w), flip);
+    let relative =
+        _mm256_fmadd_ps(_mm256_set1_ps(3.0), error, _mm256_mul_ps(_mm256_set1_ps(DEPTH_ERROR), sum));
+    // Masks of lanes surely beyond and surely before the depth `z`; NaN is neither.
+    let compare = |z: f32| {
+        let z = _mm256_set1_ps(z);
+        let bound = _mm256_fmadd_ps(_mm256_add_ps(depth, z), relative, _mm256_set1_ps(DEPTH_UNDERFLOW));
+        let difference = _mm256_fnmadd_ps(z, sum, volume);
+        let beyond = _mm256_cmp_ps::<_CMP_GT_OQ>(difference, bound);
+        let before = _mm256_cmp_ps::<_CMP_LT_OQ>(difference, _mm256_xor_ps(bound, _mm256_set1_ps(-0.0)));
+        (_mm256_movemask_ps(beyond) as u8, _mm256_movemask_ps(before) as u8)
+    };
+    let (after_near, before_near) = compare(ray.near.rounded);
+    let (after_far, before_far) =
+        if ray.far.rounded == f32::INFINITY { (0, 0xff) } else { compare(ray.far.rounded) };
+    let missed = straddling & (before_near | after_far);
+    let certain = certain | (straddling & after_near & before_far);
+    BlockMask { certain, uncertain: open_mask & !certain & !missed }
+}

@@ -1,0 +1,117 @@
+//! Why baking failed.
+
+use umbrage_accel::BuildError;
+use umbrage_geom::{FalloffError, MeshError};
+
+/// Why occlusion could not be baked. Nothing has been written to the caller's slices.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BakeError {
+    /// A mesh can't be used.
+    #[error("mesh {index}: {source}")]
+    Mesh {
+        /// Which of the meshes given, from 0.
+        index: usize,
+        /// What is wrong with it.
+        source: MeshError,
+    },
+    /// There is nothing that could occlude.
+    #[error("no occluder: at least one mesh is needed")]
+    NoOccluder,
+    /// The acceleration structure could not be built.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// A setting is 0 or too large.
+    #[error("{what} is {value}, expected 1 to {limit}")]
+    Count {
+        /// Name of the setting.
+        what: &'static str,
+        /// Its value.
+        value: u64,
+        /// Largest possible value.
+        limit: u64,
+    },
+    /// The radius is 0, negative or NaN.
+    #[error("radius is {0}, expected more than 0")]
+    Radius(f32),
+    /// A falloff other than constant without a radius that it could refer to.
+    #[error("a falloff other than constant needs a radius")]
+    FalloffWithoutRadius,
+    /// The falloff can't be used.
+    #[error(transparent)]
+    Falloff(#[from] FalloffError),
+    /// The bias is negative or not finite.
+    #[error("bias is {0}, expected a finite distance of at least 0")]
+    Bias(f32),
+    /// Points and normals, or receivers and results, differ in number.
+    #[error("{what}: {actual} for {expected} receiver points")]
+    Length {
+        /// `normals` or `results`.
+        what: &'static str,
+        /// How many there are.
+        actual: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// A receiver point is NaN, infinite or farther out than geometry may be.
+    #[error("receiver point {index} is not usable: ({}, {}, {})", .point[0], .point[1], .point[2])]
+    Point {
+        /// Index of the point, from 0.
+        index: usize,
+        /// The point.
+        point: [f32; 3],
+    },
+    /// A receiver's normal is zero or not finite.
+    #[error("the normal of receiver {index} is zero or not finite: ({}, {}, {})", .normal[0], .normal[1], .normal[2])]
+    Normal {
+        /// Index of the receiver, from 0.
+        index: usize,
+        /// The normal.
+        normal: [f32; 3],
+    },
+    /// Normals from the file were asked for, but there are none.
+    #[error("the mesh has no normals; choose geometric or smooth ones")]
+    NoNormals,
+    /// Baking per texel needs texture coordinates.
+    #[error("the mesh has no texture coordinates, which baking per texel needs")]
+    NoUvs,
+    /// A texture coordinate is NaN, infinite or absurdly large, or a triangle spans too many repeats of the image.
+    #[error(
+        "the texture coordinates of triangle {triangle} are not finite or span more than {limit} repeats of the image"
+    )]
+    Uv {
+        /// Index of the triangle, from 0.
+        triangle: usize,
+        /// Most repeats that one triangle may span, and largest distance from 0 in units of 1024 of them.
+        limit: u32,
+    },
+    /// No triangle covers the centre of any texel.
+    #[error("no triangle covers a texel: the texture coordinates have no area at {width} x {height}")]
+    NoTexel {
+        /// Texels across.
+        width: u32,
+        /// Texels down.
+        height: u32,
+    },
+    /// The shard can't be part of this bake.
+    #[error(
+        "shard {index} of {count} is not possible: expected an index below the count, and at most {blocks} shards (blocks of receivers)"
+    )]
+    Shard {
+        /// Which shard, from 0.
+        index: u32,
+        /// How many shards.
+        count: u32,
+        /// How many blocks of receivers there are to share.
+        blocks: usize,
+    },
+    /// The progress callback returned `false`.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+impl From<umbrage_geom::Cancelled> for BakeError {
+    fn from(_: umbrage_geom::Cancelled) -> Self {
+        Self::Cancelled
+    }
+}

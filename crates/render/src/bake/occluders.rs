@@ -1,0 +1,119 @@
+//! What blocks the rays of a bake.
+
+use super::{BakeError, Sides};
+use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_geom::{
+    Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
+    mesh::{MAX_COORDINATE, MAX_ELEMENTS},
+};
+
+/// An opaque ground under everything.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Ground {
+    /// None.
+    #[default]
+    Absent,
+    /// A square below the lowest y, facing up, with sides of 2000 diagonals.
+    ///
+    /// It lies 1e-4 of the diagonal (or 1e-5 of the largest coordinate, if that is more) below the lowest vertex, so that
+    /// surfaces that rest on it are occluded rather than under it. It counts neither for the diagonal nor for the bounds.
+    Below,
+}
+
+/// Occluders of a bake: triangles in a BVH, with the optical depth of each.
+pub struct Occluders {
+    bvh: Bvh,
+    mesh: TriangleMesh,
+    /// Depth of a crossing of each triangle; empty if all are opaque.
+    depths: Vec<OpticalDepth>,
+    bounds: Aabb,
+}
+
+impl Occluders {
+    /// Puts `meshes` (world space; usually the baked mesh first, then others that only occlude) and the ground into a BVH.
+    /// Objects block by their [`opacity`](umbrage_geom::MeshObject::opacity).
+    ///
+    /// # Errors
+    /// [`BakeError::NoOccluder`], [`BakeError::Mesh`], [`BakeError::Build`].
+    pub fn build(meshes: &[&TriangleMesh], ground: Ground) -> Result<Self, BakeError> {
+        if meshes.is_empty() {
+            return Err(BakeError::NoOccluder);
+        }
+        let mut mesh = TriangleMesh::default();
+        let mut depths = Vec::new();
+        for (index, part) in meshes.iter().enumerate() {
+            part.validate().map_err(|source| BakeError::Mesh { index, source })?;
+            // Indices are 32-bit: several meshes may be too much where each one is not. The ground takes 4 vertices.
+            let vertices = mesh.positions.len() + part.positions.len() + 4;
+            let triangles = mesh.triangles.len() + part.triangles.len() + 2;
+            for (what, count) in [("vertices", vertices), ("triangles", triangles)] {
+                if count > MAX_ELEMENTS {
+                    let source = MeshError::TooMany { what, count };
+                    return Err(BakeError::Mesh { index, source });
+                }
+            }
+            let base = mesh.positions.len() as u32;
+            mesh.positions.extend_from_slice(&part.positions);
+            mesh.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + base)));
+            for object in part.objects_or_whole() {
+                let depth = OpticalDepth::from_opacity(object.opacity);
+                depths.extend(std::iter::repeat_n(depth, object.triangles.len()));
+            }
+        }
+        let bounds = mesh.bounds();
+        if ground == Ground::Below {
+            add_ground(&mut mesh, &bounds);
+            depths.resize(mesh.triangles.len(), OpticalDepth::OPAQUE);
+        }
+        if depths.iter().all(|d| d.is_opaque()) {
+            depths = Vec::new();
+        }
+        let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default())?;
+        Ok(Self { bvh, mesh, depths, bounds })
+    }
+
+    /// Bounds of the meshes, without the ground.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// Diagonal of [`Self::bounds`], what a radius given as a fraction refers to.
+    pub fn diagonal(&self) -> f32 {
+        self.bounds.diagonal()
+    }
+
+    /// Sum over `rays` of the fraction of light that passes. `blocked` is room for one answer a ray.
+    pub(super) fn light(&self, rays: &[Ray], sides: Sides, blocked: &mut [bool]) -> f64 {
+        if self.depths.is_empty() && sides == Sides::Both {
+            self.bvh.any_hits_with(rays, blocked, &mut ());
+            return blocked.iter().filter(|&&b| !b).count() as f64;
+        }
+        rays.iter()
+            .map(|ray| self.bvh.transmittance(ray, |prim| self.depth(prim, ray, sides)))
+            .map(|depth| f64::from(depth.transmittance()))
+            .sum()
+    }
+
+    /// Depth of triangle `prim`, which `ray` hits.
+    fn depth(&self, prim: u32, ray: &Ray, sides: Sides) -> OpticalDepth {
+        let prim = prim as usize;
+        if sides == Sides::Front
+            && !intersect_triangle(ray, self.mesh.triangle(prim)).is_some_and(|hit| hit.front)
+        {
+            return OpticalDepth::CLEAR;
+        }
+        self.depths.get(prim).copied().unwrap_or(OpticalDepth::OPAQUE)
+    }
+}
+
+fn add_ground(mesh: &mut TriangleMesh, bounds: &Aabb) {
+    let diagonal = bounds.diagonal();
+    let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
+    let y = bounds.min.y - (1e-4 * diagonal).max(1e-5 * largest);
+    let (center, half) = (bounds.center(), 1e3 * diagonal);
+    let limit = |x: f32| x.clamp(-MAX_COORDINATE, MAX_COORDINATE);
+    let corner = |sx: f32, sz: f32| [limit(center.x + sx * half), limit(y), limit(center.z + sz * half)];
+    let base = mesh.positions.len() as u32;
+    mesh.positions.extend([corner(-1.0, -1.0), corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0)]);
+    mesh.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+}

@@ -1,0 +1,164 @@
+//! What can be chosen when occlusion is baked.
+
+use super::BakeError;
+use umbrage_geom::Falloff;
+use umbrage_scene::Radius;
+
+/// Settings of a bake. Start from the default: 256 rays, no radius, constant falloff, both sides, seed 0.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct BakeOptions {
+    /// Rays from each receiver, 1 to [`BakeOptions::MAX_RAYS`].
+    pub rays: u32,
+    /// How far occluders count. A fraction refers to [`Occluders::diagonal`](super::Occluders::diagonal).
+    pub radius: Radius,
+    /// How occluders fade with distance; anything but constant needs a radius.
+    pub falloff: Falloff,
+    /// Which sides of occluders block.
+    pub sides: Sides,
+    /// How patterns of rays differ between receivers.
+    pub jitter: Jitter,
+    /// Seed of all random choices.
+    pub seed: u32,
+    /// Distance by which rays start above the surface, world units, beyond what rounding asks for. 0 is right for
+    /// receivers that lie on the mesh; points that were made with less care may need more.
+    pub bias: f32,
+}
+
+/// Which sides of a triangle block rays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sides {
+    /// Both: right for closed meshes and for leaves alike.
+    #[default]
+    Both,
+    /// Only the front, from which the corners run counter-clockwise. Rays pass through back sides, so the inside of a
+    /// closed mesh is open.
+    Front,
+}
+
+/// How patterns of rays differ between receivers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Jitter {
+    /// Every receiver has a pattern of its own: errors are independent noise.
+    #[default]
+    Pattern,
+    /// One pattern, turned about the normal by a random angle.
+    Rotation,
+    /// One pattern for all: no noise between receivers with equal normals, but errors have structure.
+    Off,
+}
+
+/// Where the normals of receivers on a mesh come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NormalSource {
+    /// Normals of triangles. At a vertex each ray leaves around the normal of one of its triangles, chosen in proportion
+    /// to the angle that the triangle has there: the result is the mean over the triangles weighted by angle.
+    Geometric,
+    /// One normal a vertex, the mean of its triangles' weighted by angle; interpolated between vertices.
+    #[default]
+    Smooth,
+    /// The normals that the file gives to corners; their mean at a vertex, weighted by angle. Where they are zero, as
+    /// [`Self::Smooth`].
+    File,
+}
+
+/// One of several parts of a bake, to be computed apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// Which part, from 0.
+    pub index: u32,
+    /// How many parts, at least 1 and at most the number of blocks ([`super::blocks`]).
+    pub count: u32,
+}
+
+impl Shard {
+    /// Everything in one part.
+    pub const WHOLE: Self = Self { index: 0, count: 1 };
+}
+
+impl Default for BakeOptions {
+    fn default() -> Self {
+        Self {
+            rays: 256,
+            radius: Radius::Unbounded,
+            falloff: Falloff::Constant,
+            sides: Sides::Both,
+            jitter: Jitter::Pattern,
+            seed: 0,
+            bias: 0.0,
+        }
+    }
+}
+
+impl BakeOptions {
+    /// Most rays from one receiver: as many as one run of the Sobol points has.
+    pub const MAX_RAYS: u32 = 1 << 16;
+
+    /// Sets [`Self::rays`].
+    #[must_use]
+    pub fn with_rays(self, rays: u32) -> Self {
+        Self { rays, ..self }
+    }
+
+    /// Sets [`Self::radius`].
+    #[must_use]
+    pub fn with_radius(self, radius: Radius) -> Self {
+        Self { radius, ..self }
+    }
+
+    /// Sets [`Self::falloff`].
+    #[must_use]
+    pub fn with_falloff(self, falloff: Falloff) -> Self {
+        Self { falloff, ..self }
+    }
+
+    /// Sets [`Self::sides`].
+    #[must_use]
+    pub fn with_sides(self, sides: Sides) -> Self {
+        Self { sides, ..self }
+    }
+
+    /// Sets [`Self::jitter`].
+    #[must_use]
+    pub fn with_jitter(self, jitter: Jitter) -> Self {
+        Self { jitter, ..self }
+    }
+
+    /// Sets [`Self::seed`].
+    #[must_use]
+    pub fn with_seed(self, seed: u32) -> Self {
+        Self { seed, ..self }
+    }
+
+    /// Sets [`Self::bias`].
+    #[must_use]
+    pub fn with_bias(self, bias: f32) -> Self {
+        Self { bias, ..self }
+    }
+
+    /// Checks everything that doesn't depend on receivers or occluders.
+    ///
+    /// # Errors
+    /// [`BakeError::Count`], [`BakeError::Radius`], [`BakeError::FalloffWithoutRadius`], [`BakeError::Falloff`],
+    /// [`BakeError::Bias`].
+    pub fn validate(&self) -> Result<(), BakeError> {
+        if self.rays == 0 || self.rays > Self::MAX_RAYS {
+            let (value, limit) = (self.rays.into(), Self::MAX_RAYS.into());
+            return Err(BakeError::Count { what: "number of rays", value, limit });
+        }
+        let radius = self.radius.resolve(1.0);
+        if radius.is_nan() || radius <= 0.0 {
+            return Err(BakeError::Radius(radius));
+        }
+        if let Falloff::Table(weights) = &self.falloff {
+            Falloff::table(weights.clone())?;
+        }
+        if radius == f32::INFINITY && self.falloff != Falloff::Constant {
+            return Err(BakeError::FalloffWithoutRadius);
+        }
+        if !(self.bias >= 0.0 && self.bias.is_finite()) {
+            return Err(BakeError::Bias(self.bias));
+        }
+        Ok(())
+    }
+}

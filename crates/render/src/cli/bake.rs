@@ -1,0 +1,332 @@
+//! `umbrage bake`
+
+use super::{Interrupted, is_mesh, progress::Bar, thread_pool};
+use crate::{
+    bake::{
+        BakeError, BakeOptions, Ground, NormalSource, Occluders, Receivers, Shard, Sides, TexelMap, VAxis,
+        bake, blocks,
+    },
+    baked::{Baked, Surface, check_part_extension},
+    fingerprint::Fingerprint,
+    image::{ShardError, ShardSpec},
+};
+use anyhow::{Context, Result, bail, ensure};
+use serde_json::json;
+use std::{path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
+use umbrage_geom::{Falloff, TriangleMesh};
+use umbrage_scene::{Points, Radius, Scene, read_mesh, read_points};
+
+/// Bakes ambient occlusion on to a mesh, an image or points, by exact ray casting.
+///
+/// The result is called ao: 1 is open, 0 fully occluded.
+#[derive(clap::Args)]
+pub struct BakeArguments {
+    /// Mesh (.obj, .ply, .gltf, .glb), or a scene (.toml), whose instances are baked as one mesh in world space.
+    mesh: PathBuf,
+    /// File to write: .ply or .obj with vertex colours, .png or .exr with --per texel, .ply with --points.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// How occlusion is computed.
+    #[arg(long, value_enum, default_value = "auto")]
+    method: Method,
+    /// Rays from each receiver.
+    #[arg(long, value_name = "N", default_value_t = 256)]
+    rays: u32,
+    /// How far occluders count: world units, a fraction of the diagonal as in 10%, or inf.
+    #[arg(long, value_name = "R", default_value = "inf")]
+    radius: RadiusArgument,
+    /// How occluders fade with distance: constant, linear, quadratic, exponential, or weights from 0 to the radius as in
+    /// 1,0.8,0.3,0.
+    #[arg(long, default_value = "constant")]
+    falloff: Falloff,
+    /// What is baked.
+    #[arg(long, value_enum, default_value = "vertex")]
+    per: Per,
+    /// Bake at the points of this PLY (x y z nx ny nz); MESH only occludes.
+    #[arg(long, value_name = "FILE.ply")]
+    points: Option<PathBuf>,
+    /// Image size for --per texel.
+    #[arg(long, value_name = "N or WxH", default_value = "1024")]
+    size: SizeArgument,
+    /// Texels by which charts grow over their seams.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    dilate: u32,
+    /// Which sides of occluders block.
+    #[arg(long, value_enum, default_value = "both")]
+    sides: SidesArgument,
+    /// Where normals come from.
+    #[arg(long, value_enum, default_value = "smooth")]
+    normals: Normals,
+    /// Add a large ground plane under the lowest point.
+    #[arg(long)]
+    ground: bool,
+    /// A mesh that only occludes; may be given several times.
+    #[arg(long, value_name = "MESH")]
+    occluder: Vec<PathBuf>,
+    /// Distance by which rays start above the surface, world units.
+    #[arg(long, value_name = "D", default_value_t = 0.0)]
+    bias: f32,
+    /// Seed of all random choices.
+    #[arg(long, default_value_t = 0)]
+    seed: u32,
+    /// Threads; default is one for each core. The result does not depend on it.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Bake only part I of N, to a .ply that `umbrage merge` joins with the others.
+    #[arg(long, value_name = "I/N")]
+    shard: Option<ShardSpec>,
+    /// Write times and counts as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    stats: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Method {
+    /// Let the program choose.
+    Auto,
+    /// Exact single rays.
+    Rays,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Per {
+    /// Every vertex of the mesh.
+    Vertex,
+    /// Every texel that the mesh's texture coordinates cover.
+    Texel,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum SidesArgument {
+    /// Front and back.
+    Both,
+    /// Only fronts, from which corners run counter-clockwise.
+    Front,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Normals {
+    /// Of triangles.
+    Geometric,
+    /// Mean over a vertex's triangles.
+    Smooth,
+    /// As the file gives them.
+    File,
+}
+
+#[derive(Clone, Copy)]
+struct RadiusArgument(Radius);
+
+impl FromStr for RadiusArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let positive = |digits: &str| digits.trim().parse::<f32>().ok().filter(|&r| r > 0.0);
+        let radius = match text.strip_suffix('%') {
+            Some(percent) => {
+                positive(percent).filter(|r| r.is_finite()).map(|r| Radius::OfDiagonal(r / 100.0))
+            }
+            None => {
+                positive(text).map(|r| if r.is_finite() { Radius::Absolute(r) } else { Radius::Unbounded })
+            }
+        };
+        radius.map(Self).ok_or_else(|| "expected a length above 0, a percentage as in 10%, or inf".into())
+    }
+}
+
+#[derive(Clone, Copy)]
+struct SizeArgument([u32; 2]);
+
+impl FromStr for SizeArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (w, h) = text.split_once(['x', 'X']).unwrap_or((text, text));
+        match (w.parse(), h.parse()) {
+            (Ok(w), Ok(h)) if w > 0 && h > 0 => Ok(Self([w, h])),
+            _ => Err("expected N or WIDTHxHEIGHT, at least 1".into()),
+        }
+    }
+}
+
+impl BakeArguments {
+    fn options(&self) -> BakeOptions {
+        let sides = match self.sides {
+            SidesArgument::Both => Sides::Both,
+            SidesArgument::Front => Sides::Front,
+        };
+        BakeOptions::default()
+            .with_rays(self.rays)
+            .with_radius(self.radius.0)
+            .with_falloff(self.falloff.clone())
+            .with_sides(sides)
+            .with_bias(self.bias)
+            .with_seed(self.seed)
+    }
+
+    fn normal_source(&self) -> NormalSource {
+        match self.normals {
+            Normals::Geometric => NormalSource::Geometric,
+            Normals::Smooth => NormalSource::Smooth,
+            Normals::File => NormalSource::File,
+        }
+    }
+
+    /// glTF counts v from the top of the image, other formats from the bottom.
+    fn v_axis(&self) -> VAxis {
+        let extension = self.mesh.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+        if extension == "gltf" || extension == "glb" { VAxis::Down } else { VAxis::Up }
+    }
+}
+
+/// What the arguments name, read.
+struct Input {
+    mesh: TriangleMesh,
+    occluders: Vec<TriangleMesh>,
+    points: Option<Points>,
+}
+
+pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
+    let bar = Bar::new("baking")?;
+    let options = arguments.options();
+    options.validate()?;
+    ensure!(
+        arguments.points.is_none() || arguments.per == Per::Vertex,
+        "--points and --per texel exclude each other"
+    );
+    umbrage_scene::check_writable(&arguments.output)?;
+    if arguments.shard.is_some() {
+        check_part_extension(&arguments.output)?;
+    }
+    let start = Instant::now();
+    let input = read(arguments)?;
+    let load_s = start.elapsed().as_secs_f64();
+    let pool = thread_pool(arguments.threads)?;
+    pool.install(|| bake_and_write(arguments, &options, input, bar, load_s))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn read(arguments: &BakeArguments) -> Result<Input> {
+    // Methods are to come; both names mean exact rays.
+    match arguments.method {
+        Method::Auto | Method::Rays => {}
+    }
+    let mesh = if is_mesh(&arguments.mesh) {
+        read_mesh(&arguments.mesh)?
+    } else {
+        Scene::load(&arguments.mesh)?.flatten()
+    };
+    let occluders = arguments.occluder.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;
+    let points = arguments.points.as_ref().map(|path| read_points(path)).transpose()?;
+    Ok(Input { mesh, occluders, points })
+}
+
+/// Where to bake, and how to write it down.
+fn receivers(arguments: &BakeArguments, input: &Input) -> Result<(Receivers, Surface)> {
+    let (mesh, normals) = (&input.mesh, arguments.normal_source());
+    if let Some(points) = &input.points {
+        let surface =
+            Surface::Points { positions: points.positions.clone(), normals: points.normals.clone() };
+        return Ok((Receivers::from_points(&points.positions, &points.normals)?, surface));
+    }
+    match arguments.per {
+        Per::Vertex => {
+            // Colours that the mesh had give way to those that are baked.
+            let plain = TriangleMesh { vertex_colors: Vec::new(), ..mesh.clone() };
+            Ok((Receivers::vertices(mesh, normals)?, Surface::Vertices(plain)))
+        }
+        Per::Texel => {
+            let [width, height] = arguments.size.0;
+            let map = TexelMap::new(mesh, width, height, arguments.v_axis())?;
+            let receivers = map.receivers(mesh, normals)?;
+            let covered = map.covered();
+            let at = (0..width * height)
+                .filter(|&i| covered[i as usize])
+                .map(|i| [i % width, i / width])
+                .collect();
+            Ok((receivers, Surface::Texels { width, height, at, dilate: arguments.dilate }))
+        }
+    }
+}
+
+fn bake_and_write(
+    arguments: &BakeArguments,
+    options: &BakeOptions,
+    input: Input,
+    mut bar: Bar,
+    load_s: f64,
+) -> Result<()> {
+    let source = || arguments.mesh.display().to_string();
+    let (receivers, surface) = receivers(arguments, &input).with_context(source)?;
+    if arguments.shard.is_none() {
+        surface.check_extension(&arguments.output)?;
+    }
+    let shard = arguments.shard.unwrap_or(ShardSpec::WHOLE);
+    let parts = blocks(receivers.len());
+    if shard.count() as usize > parts {
+        return Err(ShardError::TooMany { shards: shard.count(), tiles: parts as u32 }.into());
+    }
+    let start = Instant::now();
+    let ground = if arguments.ground { Ground::Below } else { Ground::Absent };
+    let meshes: Vec<&TriangleMesh> = std::iter::once(&input.mesh).chain(&input.occluders).collect();
+    let occluders = Occluders::build(&meshes, ground).with_context(source)?;
+    let build_s = start.elapsed().as_secs_f64();
+    bar.check()?;
+    let start = Instant::now();
+    let mut ao = vec![f32::NAN; receivers.len()];
+    let part = Shard { index: shard.index() - 1, count: shard.count() };
+    match bake(&occluders, &receivers, options, part, &mut ao, &mut |f| bar.report(f)) {
+        Ok(()) => {}
+        Err(BakeError::Cancelled) => return Err(Interrupted.into()),
+        Err(other) => bail!(other),
+    }
+    let bake_s = start.elapsed().as_secs_f64();
+    bar.check()?;
+    let baked_here = ao.iter().filter(|ao| !ao.is_nan()).count();
+    let baked = Baked { surface, ao };
+    match arguments.shard {
+        None => baked.write(&arguments.output)?,
+        Some(shard) => {
+            baked.write_part(&arguments.output, shard, fingerprint(arguments, options, &meshes, &baked))?
+        }
+    }
+    if let Some(path) = &arguments.stats {
+        let rays = baked_here as u64 * u64::from(options.rays);
+        let stats = json!({
+            "umbrage": env!("CARGO_PKG_VERSION"),
+            "mesh": source(),
+            "method": "rays",
+            "shard": arguments.shard.map(|s| s.to_string()),
+            "triangles": meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
+            "receivers": baked_here,
+            "rays": rays,
+            "radius": Some(options.radius.resolve(occluders.diagonal())).filter(|r| r.is_finite()),
+            "threads": rayon::current_num_threads(),
+            "load_s": load_s,
+            "build_s": build_s,
+            "bake_s": bake_s,
+            "mrays_s": rays as f64 / bake_s * 1e-6,
+            "ao_mean": baked.ao.iter().filter(|ao| !ao.is_nan()).map(|&ao| f64::from(ao)).sum::<f64>()
+                / baked_here.max(1) as f64,
+        });
+        super::tools::write_json(path, &stats)?;
+    }
+    bar.finish();
+    Ok(())
+}
+
+/// Everything that decides about the result.
+fn fingerprint(
+    arguments: &BakeArguments,
+    options: &BakeOptions,
+    meshes: &[&TriangleMesh],
+    baked: &Baked,
+) -> u64 {
+    let mut fingerprint = Fingerprint::default();
+    meshes.iter().for_each(|mesh| fingerprint.mesh(mesh));
+    if let Surface::Points { positions, normals } = &baked.surface {
+        fingerprint.words(positions.iter().chain(normals).flatten().map(|x| x.to_bits()));
+    }
+    fingerprint.bytes(format!("{options:?} {:?} {}", arguments.normal_source(), arguments.ground).as_bytes());
+    fingerprint.finish()
+}

@@ -1,0 +1,215 @@
+//! `umbrage render`
+
+use super::{Interrupted, is_mesh, progress::Bar, thread_pool};
+use crate::{
+    RenderError,
+    fingerprint::Fingerprint,
+    geometry::Geometry,
+    image::{self, ColorMap, Part, ShardSpec, names},
+    render::{RenderOptions, Rendered, TILE, check_settings, render},
+};
+use anyhow::{Context, Result};
+use serde_json::json;
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+    str::FromStr,
+    time::Instant,
+};
+use umbrage_scene::{Ground, Scene};
+
+/// Renders a scene with soft shadows and ambient occlusion.
+///
+/// SCENE is a scene file (.toml), or a mesh (.obj, .ply, .gltf, .glb), which gets a camera, a light and a ground.
+#[derive(clap::Args)]
+pub struct RenderArguments {
+    /// Scene file, or a mesh.
+    scene: PathBuf,
+    /// Image to write: .exr (layers beauty, shadow, ao, normal, depth, cost) or .png; default is the scene's name with
+    /// .png.
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Shadow method [auto, bvh].
+    #[arg(long, value_name = "METHOD")]
+    shadows: Option<String>,
+    /// Ambient occlusion method [auto, rays].
+    #[arg(long, value_name = "METHOD")]
+    ao: Option<String>,
+    /// Camera samples a pixel.
+    #[arg(long, value_name = "N")]
+    spp: Option<u32>,
+    /// Image size in pixels.
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// Threads; default is one for each core. The image does not depend on it.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Render only part I of N, to an .exr that `umbrage merge` joins with the others.
+    #[arg(long, value_name = "I/N")]
+    shard: Option<ShardSpec>,
+    /// Write times, counts and methods as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    stats: Option<PathBuf>,
+    /// Write the work done for each pixel in false colours.
+    #[arg(long, value_name = "FILE.png")]
+    heatmap: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy)]
+struct Size {
+    width: u32,
+    height: u32,
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once(['x', 'X']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+        match parts {
+            Some((width, height)) if width > 0 && height > 0 => Ok(Self { width, height }),
+            _ => Err("expected WIDTHxHEIGHT, both at least 1".into()),
+        }
+    }
+}
+
+pub fn run(arguments: &RenderArguments) -> Result<ExitCode> {
+    let bar = Bar::new("rendering")?;
+    let output = arguments.output.clone().unwrap_or_else(|| {
+        PathBuf::from(arguments.scene.with_extension("png").file_name().unwrap_or("out.png".as_ref()))
+    });
+    check_outputs(arguments, &output)?;
+    let start = Instant::now();
+    let mut scene = load(&arguments.scene)?;
+    override_settings(&mut scene, arguments);
+    check_settings(&scene.settings)?;
+    let load_s = start.elapsed().as_secs_f64();
+    bar.check()?;
+    let pool = thread_pool(arguments.threads)?;
+    pool.install(|| render_and_write(arguments, &output, &scene, bar, load_s))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Finds out now rather than after the work that a file can't be written.
+fn check_outputs(arguments: &RenderArguments, output: &Path) -> Result<()> {
+    match arguments.shard {
+        Some(_) => image::check_part_writable(output)?,
+        None => drop(image::check_writable(output)?),
+    }
+    if let Some(path) = &arguments.heatmap {
+        let format = image::check_writable(path)?;
+        anyhow::ensure!(format == image::Format::Png, "{}: a heat map is written as .png", path.display());
+    }
+    Ok(())
+}
+
+/// Reads a scene file, or puts a mesh into a scene of its own.
+pub(super) fn load(path: &Path) -> Result<Scene> {
+    if is_mesh(path) {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let mesh = umbrage_scene::read_mesh(path)?;
+        Ok(Scene::around_mesh(&name, mesh, Ground::Plane).with_context(|| path.display().to_string())?)
+    } else {
+        Ok(Scene::load(path)?)
+    }
+}
+
+fn override_settings(scene: &mut Scene, arguments: &RenderArguments) {
+    let settings = &mut scene.settings;
+    if let Some(size) = arguments.size {
+        (settings.width, settings.height) = (size.width, size.height);
+    }
+    settings.spp = arguments.spp.unwrap_or(settings.spp);
+    settings.shadows.clone_from(arguments.shadows.as_ref().unwrap_or(&settings.shadows.clone()));
+    settings.ao.clone_from(arguments.ao.as_ref().unwrap_or(&settings.ao.clone()));
+}
+
+fn render_and_write(
+    arguments: &RenderArguments,
+    output: &Path,
+    scene: &Scene,
+    mut bar: Bar,
+    load_s: f64,
+) -> Result<()> {
+    let start = Instant::now();
+    let geometry = Geometry::build(scene).with_context(|| arguments.scene.display().to_string())?;
+    let build_s = start.elapsed().as_secs_f64();
+    bar.check()?;
+    let is_exr = image::Format::of(output)? == image::Format::Exr;
+    let count_cost = is_exr || arguments.heatmap.is_some() || arguments.stats.is_some();
+    let options = RenderOptions::default()
+        .with_shard(arguments.shard.unwrap_or(ShardSpec::WHOLE))
+        .with_count_cost(count_cost);
+    let start = Instant::now();
+    let rendered =
+        render(scene, &geometry, &options, &mut |f| bar.report(f)).map_err(|error| match error {
+            RenderError::Cancelled => anyhow::Error::new(Interrupted),
+            other => anyhow::Error::new(other),
+        })?;
+    let render_s = start.elapsed().as_secs_f64();
+    bar.check()?;
+    let exposure = scene.settings.exposure;
+    match arguments.shard {
+        None => image::write(output, &rendered.film, exposure)?,
+        Some(shard) => {
+            let mut fingerprint = Fingerprint::default();
+            fingerprint.scene(scene);
+            let part = Part { shard, tile_size: TILE, fingerprint: fingerprint.finish(), exposure };
+            image::write_part(output, &rendered.film, &part)?;
+        }
+    }
+    if let Some(path) = &arguments.heatmap {
+        image::write_heat_map(path, &rendered.film, names::COST, ColorMap::Viridis, None)?;
+    }
+    if let Some(path) = &arguments.stats {
+        let times = [load_s, build_s, render_s];
+        write_stats(path, arguments, scene, &geometry, &rendered, times)?;
+    }
+    bar.finish();
+    Ok(())
+}
+
+/// The keys are documented in `docs/command-line.md`; scripts depend on them.
+fn write_stats(
+    path: &Path,
+    arguments: &RenderArguments,
+    scene: &Scene,
+    geometry: &Geometry,
+    rendered: &Rendered,
+    [load_s, build_s, render_s]: [f64; 3],
+) -> Result<()> {
+    let settings = &scene.settings;
+    let rays = rendered.rays;
+    let total = rays.camera + rays.shadow + rays.ambient;
+    let (structure_bytes, geometry_bytes) = geometry.bytes();
+    let methods = rendered.methods.map(|(name, reason)| json!({ "method": name, "reason": reason }));
+    let stats = json!({
+        "umbrage": env!("CARGO_PKG_VERSION"),
+        "scene": arguments.scene.display().to_string(),
+        "shard": arguments.shard.map(|s| s.to_string()),
+        "width": settings.width,
+        "height": settings.height,
+        "spp": settings.spp,
+        "shadow_samples": settings.shadow_samples,
+        "ao_samples": settings.ao_samples,
+        "seed": settings.seed,
+        "shadows": methods[0],
+        "ao": methods[1],
+        "triangles": geometry.triangle_count(),
+        "instanced": geometry.is_instanced(),
+        "structure_bytes": structure_bytes,
+        "geometry_bytes": geometry_bytes,
+        "threads": rayon::current_num_threads(),
+        "load_s": load_s,
+        "build_s": build_s,
+        "render_s": render_s,
+        "rays": rays,
+        "mrays_s": total as f64 / render_s * 1e-6,
+        "counters": rendered.counters.map(|c| json!({
+            "nodes": c.nodes,
+            "box_tests": c.box_tests,
+            "triangle_tests": c.triangle_tests,
+        })),
+    });
+    super::tools::write_json(path, &stats)
+}

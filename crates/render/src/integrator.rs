@@ -1,0 +1,251 @@
+//! What one pixel shows: direct light with soft shadows, and a sky dimmed by ambient occlusion.
+
+use crate::{
+    camera::Camera,
+    geometry::{Geometry, Surface},
+    light::Light,
+    method::{LightRay, Method},
+};
+use umbrage_accel::Counters;
+use umbrage_geom::{
+    Falloff, Frame, Ray,
+    glam::{Vec2, Vec3},
+    offset_origin,
+    sampling::{combine, concentric_disc, cosine_hemisphere, pixel_seed, sobol_2d, sobol_4d, unit},
+};
+
+/// Semi-transparent surfaces that a camera ray may pass before it gives up.
+const MOST_LAYERS: u32 = 1000;
+
+/// Distance reported where nothing is seen: what Blender and Nuke users expect of a depth layer.
+pub const NO_DEPTH: f32 = 1e10;
+
+/// Rays traced, by purpose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct RayCounts {
+    /// From the camera, those behind semi-transparent surfaces included.
+    pub camera: u64,
+    /// To lights.
+    pub shadow: u64,
+    /// Into the sky.
+    pub ambient: u64,
+}
+
+impl std::ops::AddAssign for RayCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.camera += other.camera;
+        self.shadow += other.shadow;
+        self.ambient += other.ambient;
+    }
+}
+
+/// The sky as the integrator needs it.
+pub(crate) struct Sky {
+    pub radiance: Vec3,
+    /// World units; may be infinite.
+    pub radius: f32,
+    pub falloff: Falloff,
+}
+
+/// Everything a pixel depends on.
+pub(crate) struct Integrator<'a> {
+    pub camera: Camera,
+    pub geometry: &'a Geometry,
+    pub lights: Vec<Light>,
+    pub sky: Option<Sky>,
+    pub background: Vec3,
+    pub shadows: &'a dyn Method,
+    pub ambient: &'a dyn Method,
+    pub spp: u32,
+    pub shadow_samples: u32,
+    pub ao_samples: u32,
+    pub seed: u32,
+    pub count_cost: bool,
+}
+
+/// Values of one pixel, in the layers' own meaning.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pixel {
+    pub beauty: Vec3,
+    pub shadow: f32,
+    pub ao: f32,
+    pub normal: Vec3,
+    pub depth: f32,
+    pub cost: f32,
+}
+
+/// Buffers reused from pixel to pixel, and what was counted.
+#[derive(Default)]
+pub(crate) struct Scratch {
+    squares: Vec<Vec2>,
+    rays: Vec<LightRay>,
+    /// Unshadowed irradiance that each ray stands for, cosine included.
+    arriving: Vec<Vec3>,
+    passed: Vec<f32>,
+    pub counts: RayCounts,
+    pub counters: Counters,
+}
+
+#[derive(Default)]
+struct Sums {
+    beauty: Vec3,
+    /// Luminance that reaches the surfaces, with and without shadows.
+    lit: [f32; 2],
+    ao: f32,
+    normal: Vec3,
+    depth: f32,
+    hits: u32,
+}
+
+/// The layer `cost`: nodes entered and triangles tested.
+fn work(counters: &Counters) -> u64 {
+    counters.nodes + counters.triangle_tests
+}
+
+fn luminance(c: Vec3) -> f32 {
+    c.dot(Vec3::new(0.2126, 0.7152, 0.0722))
+}
+
+impl Integrator<'_> {
+    /// Computes pixel (`x`, `y`).
+    pub fn pixel(&self, x: u32, y: u32, scratch: &mut Scratch) -> Pixel {
+        let seed = pixel_seed(x, y, self.seed);
+        let mut sums = Sums::default();
+        let before = work(&scratch.counters);
+        for sample in 0..self.spp {
+            let [dx, dy, lens_x, lens_y] = sobol_4d(sample, 0, seed);
+            let lens = concentric_disc(Vec2::new(lens_x, lens_y)).to_array();
+            let ray = self.camera.ray(x as f32 + dx, y as f32 + dy, lens);
+            match self.visible_surface(&ray, combine(seed, sample), scratch) {
+                Some(surface) => self.shade(&surface, sample, seed, scratch, &mut sums),
+                None => sums.beauty += self.background,
+            }
+        }
+        let samples = self.spp as f32;
+        let hits = sums.hits as f32;
+        let cost = work(&scratch.counters) - before;
+        Pixel {
+            beauty: sums.beauty / samples,
+            shadow: if sums.lit[1] > 0.0 { sums.lit[0] / sums.lit[1] } else { 1.0 },
+            ao: if sums.hits > 0 { sums.ao / hits } else { 1.0 },
+            normal: sums.normal.normalize_or_zero(),
+            depth: if sums.hits > 0 { sums.depth / hits } else { NO_DEPTH },
+            cost: cost as f32 / samples,
+        }
+    }
+
+    /// The surface that a camera ray shows: a semi-transparent one counts with the probability of its opacity.
+    fn visible_surface(&self, ray: &Ray, seed: u32, scratch: &mut Scratch) -> Option<Surface> {
+        let mut rest = *ray;
+        for layer in 0..MOST_LAYERS {
+            scratch.counts.camera += 1;
+            let surface = if self.count_cost {
+                self.geometry.closest_hit(&rest, &mut scratch.counters)?
+            } else {
+                self.geometry.closest_hit(&rest, &mut ())?
+            };
+            if surface.opacity >= 1.0 || unit(combine(seed, layer)) < surface.opacity {
+                return Some(surface);
+            }
+            rest.tnear = surface.t;
+        }
+        None
+    }
+
+    fn shade(&self, surface: &Surface, sample: u32, seed: u32, scratch: &mut Scratch, sums: &mut Sums) {
+        let n = surface.geometric_normal;
+        let origin = offset_origin(surface.point, n, n, surface.magnitude);
+        let mut irradiance = Vec3::ZERO;
+        for (number, light) in self.lights.iter().enumerate() {
+            irradiance += self.direct(light, number as u32, origin, surface, sample, seed, scratch, sums);
+        }
+        let mut radiance = irradiance * std::f32::consts::FRAC_1_PI;
+        let mut open = 1.0;
+        if let Some(sky) = &self.sky {
+            open = self.openness(sky, origin, surface, sample, seed, scratch);
+            radiance += sky.radiance * open;
+        }
+        sums.beauty += radiance * surface.albedo;
+        sums.ao += open;
+        sums.normal += surface.shading_normal;
+        sums.depth += surface.t;
+        sums.hits += 1;
+    }
+
+    /// Irradiance from one light, shadowed.
+    #[allow(clippy::too_many_arguments)] // all of them vary from call to call
+    fn direct(
+        &self,
+        light: &Light,
+        number: u32,
+        origin: Vec3,
+        surface: &Surface,
+        sample: u32,
+        seed: u32,
+        scratch: &mut Scratch,
+        sums: &mut Sums,
+    ) -> Vec3 {
+        let samples = light.samples(self.shadow_samples);
+        let Scratch { squares, rays, arriving, .. } = scratch;
+        squares.clear();
+        squares.extend((0..samples).map(|i| sobol_2d(sample * samples + i, number, seed)));
+        rays.clear();
+        arriving.clear();
+        light.sample(origin, squares, &mut |_, incoming| {
+            let cosine = surface.shading_normal.dot(incoming.direction);
+            if cosine <= 0.0 || surface.geometric_normal.dot(incoming.direction) <= 0.0 {
+                return;
+            }
+            let tfar = if incoming.distant { f32::INFINITY } else { 1.0 };
+            let ray = Ray::new(origin, incoming.to_light).with_tfar(tfar);
+            rays.push(LightRay { ray, solid_angle: incoming.solid_angle });
+            arriving.push(incoming.irradiance * cosine);
+        });
+        scratch.counts.shadow += scratch.rays.len() as u64;
+        self.trace(self.shadows, scratch);
+        let mut received = Vec3::ZERO;
+        for (&arriving, &passed) in scratch.arriving.iter().zip(&scratch.passed) {
+            received += arriving * passed;
+            sums.lit[0] += luminance(arriving) * passed;
+            sums.lit[1] += luminance(arriving);
+        }
+        received
+    }
+
+    /// Mean transmittance towards the sky: `ao`, 1 is open.
+    fn openness(
+        &self,
+        sky: &Sky,
+        origin: Vec3,
+        surface: &Surface,
+        sample: u32,
+        seed: u32,
+        scratch: &mut Scratch,
+    ) -> f32 {
+        let frame = Frame::from_normal(surface.shading_normal);
+        // All share the hemisphere's projected solid angle of pi.
+        let share = std::f32::consts::PI / self.ao_samples as f32;
+        scratch.rays.clear();
+        for i in 0..self.ao_samples {
+            let [a, b, c, _] = sobol_4d(sample * self.ao_samples + i, 1, seed);
+            let local = cosine_hemisphere(Vec2::new(a, b));
+            let tfar = match &sky.falloff {
+                Falloff::Constant => sky.radius,
+                // Random lengths give the same mean as weighting the nearest hit (Laine and Karras 2010, equation 3).
+                falloff => sky.radius * falloff.length(c),
+            };
+            let ray = Ray::new(origin, frame.world_from_local(local)).with_tfar(tfar);
+            scratch.rays.push(LightRay { ray, solid_angle: share / local.z.max(1e-3) });
+        }
+        scratch.counts.ambient += scratch.rays.len() as u64;
+        self.trace(self.ambient, scratch);
+        scratch.passed.iter().sum::<f32>() / self.ao_samples as f32
+    }
+
+    fn trace(&self, method: &dyn Method, scratch: &mut Scratch) {
+        scratch.passed.clear();
+        scratch.passed.resize(scratch.rays.len(), 1.0);
+        let counters = self.count_cost.then_some(&mut scratch.counters);
+        method.transmittances(&scratch.rays, &mut scratch.passed, counters);
+    }
+}

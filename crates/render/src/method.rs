@@ -1,0 +1,110 @@
+//! Ways to answer how much light passes, behind one trait, and the choice between them.
+//!
+//! A method sees all rays of one receiver to one light (or all its ambient rays) at once, with each ray's share of solid
+//! angle, so that methods which trace fans, masks or cones can use them.
+
+use crate::{RenderError, geometry::Geometry};
+use umbrage_accel::Counters;
+use umbrage_geom::Ray;
+
+/// One sample of a light or of the sky, seen from a receiver.
+#[derive(Clone, Copy, Debug)]
+pub struct LightRay {
+    /// Segment from the receiver to the sample. Rays of one batch share their origin.
+    pub ray: Ray,
+    /// Solid angle that the sample stands for, steradians; 0 for point lights.
+    pub solid_angle: f32,
+}
+
+/// A method that answers shadow or ambient rays.
+pub trait Method: Sync {
+    /// The name users know it by.
+    fn name(&self) -> &'static str;
+
+    /// Writes the fraction of light that passes along each ray; counts into `counters` if there are any.
+    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>);
+}
+
+/// Exact single rays through the scene's wide BVH.
+struct SingleRays<'a> {
+    geometry: &'a Geometry,
+    name: &'static str,
+}
+
+impl Method for SingleRays<'_> {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+        match counters {
+            None => rays
+                .iter()
+                .zip(passed)
+                .for_each(|(light, out)| *out = self.geometry.transmittance(&light.ray, &mut ())),
+            Some(counters) => rays
+                .iter()
+                .zip(passed)
+                .for_each(|(light, out)| *out = self.geometry.transmittance(&light.ray, counters)),
+        }
+    }
+}
+
+/// Names of the shadow methods, `auto` first.
+pub const SHADOW_METHODS: &[&str] = &["auto", "bvh"];
+/// Names of the ambient occlusion methods, `auto` first.
+pub const AO_METHODS: &[&str] = &["auto", "rays"];
+
+/// Checks the names of both methods, before anything is built.
+///
+/// # Errors
+/// [`RenderError::Method`].
+pub fn check_names(settings: &umbrage_scene::Settings) -> Result<(), RenderError> {
+    for (name, purpose, known) in
+        [(&settings.shadows, "shadow", SHADOW_METHODS), (&settings.ao, "ambient occlusion", AO_METHODS)]
+    {
+        if !known.contains(&name.as_str()) {
+            return Err(RenderError::Method { name: name.clone(), purpose, known });
+        }
+    }
+    Ok(())
+}
+
+/// A method and why it was taken.
+pub struct Choice<'a> {
+    /// The method.
+    pub method: Box<dyn Method + 'a>,
+    /// One line for people.
+    pub reason: &'static str,
+}
+
+/// The shadow method called `name`.
+///
+/// # Errors
+/// [`RenderError::Method`] if there is none.
+pub fn shadow_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a>, RenderError> {
+    choose(name, "shadow", SHADOW_METHODS, geometry)
+}
+
+/// The ambient occlusion method called `name`.
+///
+/// # Errors
+/// [`RenderError::Method`] if there is none.
+pub fn ao_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a>, RenderError> {
+    choose(name, "ambient occlusion", AO_METHODS, geometry)
+}
+
+fn choose<'a>(
+    name: &str,
+    purpose: &'static str,
+    known: &'static [&'static str],
+    geometry: &'a Geometry,
+) -> Result<Choice<'a>, RenderError> {
+    let exact = known[1];
+    let reason = match name {
+        "auto" => "exact single rays serve every scene",
+        _ if name == exact => "asked for",
+        _ => return Err(RenderError::Method { name: name.into(), purpose, known }),
+    };
+    Ok(Choice { method: Box::new(SingleRays { geometry, name: exact }), reason })
+}

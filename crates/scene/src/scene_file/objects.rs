@@ -1,0 +1,262 @@
+//! `[materials]`, `[meshes]` and `[[objects]]`.
+
+use super::fields::{Fields, Flaw, Value};
+use super::placement;
+use crate::generate::{GenerateError, ParameterValue, Parameters, generate};
+use crate::mesh_file::read_mesh;
+use crate::scene::{Instance, Material, NamedMesh};
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+use toml::de::DeValue;
+use umbrage_geom::TriangleMesh;
+use umbrage_geom::glam::Affine3A;
+use umbrage_geom::mesh::MAX_COORDINATE;
+
+/// Most triangles over all instances, so that counts and bounds of a scene stay sane.
+const MAX_SCENE_INSTANCES: usize = 1 << 22;
+
+/// What the geometry part of a file says.
+#[derive(Default)]
+pub(super) struct Geometry {
+    pub(super) meshes: Vec<NamedMesh>,
+    pub(super) instances: Vec<Instance>,
+    pub(super) materials: Vec<Material>,
+    material_indices: HashMap<String, usize>,
+    mesh_indices: HashMap<String, usize>,
+    /// Names that objects were given, which defaults must avoid.
+    given_names: HashSet<String>,
+    names: HashSet<String>,
+}
+
+/// Reads materials, meshes and objects; mesh files are relative to `folder`.
+pub(super) fn read(top: &Fields<'_>, folder: &Path) -> Result<Geometry, Flaw> {
+    let mut geometry = Geometry::default();
+    if let Some(materials) = top.table("materials")? {
+        for entry in materials.entries() {
+            let material = read_material(&entry)?;
+            geometry.add_material(material);
+        }
+    }
+    if let Some(meshes) = top.table("meshes")? {
+        for entry in meshes.entries() {
+            let mesh = read_mesh_table(&entry.table(format!("mesh '{}'", entry.key()))?, folder)?;
+            geometry.mesh_indices.insert(entry.key().into(), geometry.meshes.len());
+            geometry.meshes.push(NamedMesh { name: entry.key().into(), mesh });
+        }
+    }
+    let objects = top.value("objects").map_or(Ok(Vec::new()), |v| v.items())?;
+    if objects.is_empty() {
+        return Err(top.flaw("there are no objects: add [[objects]]"));
+    }
+    let mut tables = Vec::new();
+    for (i, object) in objects.iter().enumerate() {
+        let mut fields = object.table(format!("object {}", i + 1))?;
+        if let Some(name) = fields.value("name") {
+            let text = name.text()?;
+            if !geometry.given_names.insert(text.into()) {
+                return Err(name.flaw(format!("'{text}' is taken by another object")));
+            }
+            fields.what = format!("object '{text}'");
+        }
+        tables.push(fields);
+    }
+    for fields in &tables {
+        geometry.add_object(fields, folder)?;
+        fields.finish()?;
+    }
+    Ok(geometry)
+}
+
+fn read_material(entry: &Value<'_>) -> Result<Material, Flaw> {
+    let fields = entry.table(format!("material '{}'", entry.key()))?;
+    let mut material = Material { name: entry.key().into(), ..Material::default() };
+    if let Some(albedo) = fields.value("albedo") {
+        material.albedo = albedo.color()?;
+        if material.albedo.iter().any(|&x| x > 1.0) {
+            return Err(albedo.flaw("must be between 0 and 1"));
+        }
+    }
+    if let Some(opacity) = fields.value("opacity") {
+        material.opacity = opacity.number_in(0.0..=1.0)?;
+    }
+    fields.finish()?;
+    Ok(material)
+}
+
+/// A table with `file`, or with `generator` and its parameters.
+fn read_mesh_table(fields: &Fields<'_>, folder: &Path) -> Result<TriangleMesh, Flaw> {
+    match (fields.value("file"), fields.value("generator")) {
+        (Some(file), None) => {
+            let mesh = read_mesh_file(&file, folder)?;
+            fields.finish()?;
+            Ok(mesh)
+        }
+        (None, Some(generator)) => generated(fields, &generator),
+        _ => Err(fields.flaw("needs either 'file' or 'generator'")),
+    }
+}
+
+fn read_mesh_file(file: &Value<'_>, folder: &Path) -> Result<TriangleMesh, Flaw> {
+    let path = folder.join(file.text()?);
+    read_mesh(&path).map_err(|e| file.flaw(format!("can't be used: {e}")))
+}
+
+fn generated(fields: &Fields<'_>, generator: &Value<'_>) -> Result<TriangleMesh, Flaw> {
+    let mut parameters = Parameters::default();
+    fields.whole_into("seed", 0..=u32::MAX, &mut parameters.seed)?;
+    if let Some(triangles) = fields.value("triangles") {
+        parameters.triangles = Some(triangles.whole(1..=u32::MAX)? as usize);
+    }
+    parameters.level = fields.value("level").map(|v| v.whole(0..=32)).transpose()?;
+    for other in fields.others() {
+        let value = match other.raw() {
+            DeValue::String(text) => ParameterValue::Text(text.clone().into_owned()),
+            DeValue::Integer(_) | DeValue::Float(_) => ParameterValue::Number(other.double()?),
+            _ => return Err(other.expected("a number or a word")),
+        };
+        parameters.values.insert(other.key().into(), value);
+    }
+    match generate(generator.text()?, &parameters) {
+        Ok(generated) => Ok(generated.mesh),
+        Err(error) => {
+            let culprit = match &error {
+                GenerateError::UnknownParameter { parameter, .. }
+                | GenerateError::OutOfRange { parameter, .. } => &parameter[..],
+                _ => "generator",
+            };
+            let span = fields.key_span(culprit).unwrap_or_else(|| generator.span());
+            Err(Flaw::new(span, format!("{}: {error}", fields.what)))
+        }
+    }
+}
+
+impl Geometry {
+    fn add_material(&mut self, material: Material) {
+        self.material_indices.insert(material.name.clone(), self.materials.len());
+        self.materials.push(material);
+    }
+
+    fn add_object(&mut self, fields: &Fields<'_>, folder: &Path) -> Result<(), Flaw> {
+        let mesh = self.object_mesh(fields, folder)?;
+        let materials = self.object_materials(fields, mesh)?;
+        let transforms = placement::read(fields)?;
+        let name = match fields.value("name") {
+            Some(name) => name.text()?.to_string(),
+            None => self.default_name(mesh),
+        };
+        if self.instances.len() + transforms.len() > MAX_SCENE_INSTANCES {
+            return Err(fields.flaw(format!("the scene has more than {MAX_SCENE_INSTANCES} instances")));
+        }
+        let bounds = self.meshes[mesh].mesh.bounds();
+        for (i, world_from_object) in transforms.iter().enumerate() {
+            if !crate::view::corners(bounds).iter().all(|c| stays_near(world_from_object, *c)) {
+                return Err(fields.flaw(format!("its transform moves it beyond {MAX_COORDINATE:e}")));
+            }
+            let name = if transforms.len() == 1 { name.clone() } else { format!("{name}[{i}]") };
+            if !self.names.insert(name.clone()) {
+                return Err(fields.flaw(format!("the name '{name}' of its instance is taken")));
+            }
+            let materials = materials.clone();
+            self.instances.push(Instance { name, mesh, world_from_object: *world_from_object, materials });
+        }
+        Ok(())
+    }
+
+    /// Index of the mesh an object names or brings along.
+    fn object_mesh(&mut self, fields: &Fields<'_>, folder: &Path) -> Result<usize, Flaw> {
+        let mesh = fields.required("mesh")?;
+        let inline = match mesh.raw() {
+            DeValue::String(name) => {
+                return self.mesh_indices.get(&name[..]).copied().ok_or_else(|| {
+                    let known = list(self.meshes.iter().map(|m| &m.name[..]));
+                    mesh.flaw(format!("'{name}' is not one of the meshes ({known})"))
+                });
+            }
+            DeValue::Table(_) => mesh.table(format!("{} mesh", fields.what))?,
+            _ => return Err(mesh.expected("the name of a mesh, or a table with 'file' or 'generator'")),
+        };
+        let source = inline.value("file").or_else(|| inline.value("generator"));
+        let stem = match &source {
+            Some(source) => Path::new(source.text()?).file_stem().and_then(|s| s.to_str()).unwrap_or("mesh"),
+            None => "mesh",
+        };
+        let name = first_free(stem, |name| self.mesh_indices.contains_key(name));
+        let read = read_mesh_table(&inline, folder)?;
+        let index = self.meshes.len();
+        self.mesh_indices.insert(name.clone(), index);
+        self.meshes.push(NamedMesh { name, mesh: read });
+        Ok(index)
+    }
+
+    fn default_name(&self, mesh: usize) -> String {
+        let taken = |name: &str| {
+            self.given_names.contains(name)
+                || self.names.contains(name)
+                || self.names.contains(&format!("{name}[0]"))
+        };
+        first_free(&self.meshes[mesh].name, taken)
+    }
+
+    /// One material for each object of the mesh: the one `materials` gives it, else `material`, else the default.
+    fn object_materials(&mut self, fields: &Fields<'_>, mesh: usize) -> Result<Vec<usize>, Flaw> {
+        let parts = self.meshes[mesh].mesh.objects_or_whole();
+        let mut chosen: Vec<Option<usize>> = match fields.value("material") {
+            Some(value) => vec![Some(self.material(&value)?); parts.len()],
+            None => vec![None; parts.len()],
+        };
+        if let Some(table) = fields.table("materials")? {
+            for entry in table.entries() {
+                let entry_material = self.material(&entry)?;
+                let mut found = false;
+                for (slot, _) in chosen.iter_mut().zip(&parts).filter(|(_, part)| part.name == entry.key()) {
+                    *slot = Some(entry_material);
+                    found = true;
+                }
+                if !found {
+                    let known = list(parts.iter().map(|p| &p.name[..]));
+                    let span = table.key_span(entry.key()).unwrap_or_else(|| entry.span());
+                    let message =
+                        format!("{}: its mesh has no object '{}' ({known})", fields.what, entry.key());
+                    return Err(Flaw::new(span, message));
+                }
+            }
+        }
+        let needs_default = chosen.contains(&None);
+        if needs_default && !self.material_indices.contains_key(&Material::default().name) {
+            self.add_material(Material::default());
+        }
+        let default = self.material_indices.get(&Material::default().name).copied();
+        Ok(chosen.into_iter().filter_map(|m| m.or(default)).collect())
+    }
+
+    fn material(&self, value: &Value<'_>) -> Result<usize, Flaw> {
+        let name = value.text()?;
+        self.material_indices.get(name).copied().ok_or_else(|| {
+            let known = list(self.materials.iter().map(|m| &m.name[..]));
+            value.flaw(format!("'{name}' is not one of the materials ({known})"))
+        })
+    }
+}
+
+fn stays_near(world_from_object: &Affine3A, corner: umbrage_geom::glam::Vec3) -> bool {
+    world_from_object.transform_point3(corner).abs().max_element() <= MAX_COORDINATE
+}
+
+/// `stem`, or `stem-2` and so on.
+fn first_free(stem: &str, taken: impl Fn(&str) -> bool) -> String {
+    if !taken(stem) {
+        return stem.into();
+    }
+    (2..).map(|i| format!("{stem}-{i}")).find(|name| !taken(name)).unwrap_or_default()
+}
+
+/// Names for an error, not too many.
+fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    const MOST: usize = 12;
+    let names: Vec<_> = names.collect();
+    match names.len() {
+        0 => "there are none".into(),
+        n if n > MOST => format!("{} and {} more", names[..MOST].join(", "), n - MOST),
+        _ => names.join(", "),
+    }
+}
