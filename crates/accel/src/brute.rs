@@ -7,6 +7,9 @@ use crate::{Bvh, Hit, InstanceHit, Placement, object_from_world, object_ray};
 use std::ops::ControlFlow;
 use umbrage_geom::{OpticalDepth, Ray, TriangleHit, intersect_triangle, segment_hits_triangle};
 
+/// Positions and triangles of one mesh.
+pub type MeshSlices<'a> = (&'a [[f32; 3]], &'a [[u32; 3]]);
+
 fn corners(positions: &[[f32; 3]], triangle: [u32; 3]) -> [[f32; 3]; 3] {
     triangle.map(|v| positions[v as usize])
 }
@@ -62,7 +65,7 @@ pub fn transmittance(
 /// See [`crate::InstancedBvh::for_each_hit`]; meshes are given as slices, one pair for each hierarchy. Placements that
 /// can't be inverted are skipped.
 pub fn for_each_instance_hit(
-    meshes: &[(&[[f32; 3]], &[[u32; 3]])],
+    meshes: &[MeshSlices],
     placements: &[Placement],
     ray: &Ray,
     mut visit: impl FnMut(u32, u32, TriangleHit) -> ControlFlow<()>,
@@ -78,7 +81,7 @@ pub fn for_each_instance_hit(
 
 /// See [`crate::InstancedBvh::closest_hit`].
 pub fn closest_instance_hit(
-    meshes: &[(&[[f32; 3]], &[[u32; 3]])],
+    meshes: &[MeshSlices],
     placements: &[Placement],
     ray: &Ray,
 ) -> Option<InstanceHit> {

@@ -178,7 +178,8 @@ fn bound(index: usize, placement: &Placement, bvhs: &[Arc<Bvh>]) -> Result<Bound
     let p = f64::from(object.min.abs().max(object.max.abs()).max_element());
     let n = object_from_world.translation.abs().max_element();
     let pad = PAD * (norm * (n + p) + w.abs().max_element());
-    if !(min.abs().max(max.abs()).max_element() + pad <= f64::from(MAX_COORDINATE)) {
+    let reach = min.abs().max(max.abs()).max_element() + pad;
+    if reach.is_nan() || reach > f64::from(MAX_COORDINATE) {
         return Err(BuildError::TransformTooFar { instance: index });
     }
     // One unit outwards covers rounding to f32 and that of the sum.

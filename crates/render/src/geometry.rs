@@ -183,7 +183,8 @@ impl Geometry {
         let corners =
             mesh.triangle(index).map(|p| placed.world_from_object.transform_point3a(Vec3A::from(p)));
         let (e, f) = (corners[1] - corners[0], corners[2] - corners[0]);
-        let face = Vec3A::from(e.as_dvec3().cross(f.as_dvec3()).normalize_or_zero().as_vec3());
+        let normal64 = e.as_dvec3().cross(f.as_dvec3());
+        let face = Vec3A::from(normal64.normalize_or_zero().as_vec3());
         let towards = |n: Vec3A, reference: Vec3A| if n.dot(reference) < 0.0 { -n } else { n };
         let geometric = towards(face, -Vec3A::from(ray.direction));
         let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
@@ -191,9 +192,18 @@ impl Geometry {
             let n = (0..3).fold(Vec3A::ZERO, |n, i| n + Vec3A::from(normals[i]) * weights[i]);
             (placed.normal_matrix * n).try_normalize()
         });
-        let magnitude = match &self.structure {
-            Structure::Flat(_) => corners.iter().fold(Vec3A::ZERO, |m, c| m.max(c.abs())).max_element(),
-            Structure::Instanced(_) => placed.magnitude(mesh.triangle(index)),
+        let (point, magnitude) = match &self.structure {
+            // Computed in f64 and put back into the plane, so that only the final rounding is left, however large the
+            // triangle.
+            Structure::Flat(_) => {
+                let along = ray.origin.as_dvec3() + f64::from(hit.t) * ray.direction.as_dvec3();
+                let normal = normal64.normalize_or_zero();
+                let point = along - normal * (along - corners[0].as_dvec3()).dot(normal);
+                (point.as_vec3(), point.abs().max_element() as f32)
+            }
+            Structure::Instanced(_) => {
+                ((corners[0] + e * hit.u + f * hit.v).into(), placed.magnitude(mesh.triangle(index)))
+            }
         };
         let (material, depth) = self.object_of(address);
         let mut albedo = Vec3A::from(self.albedos[material as usize]);
@@ -202,7 +212,7 @@ impl Geometry {
             albedo *= colors[0] * weights[0] + colors[1] * weights[1] + colors[2] * weights[2];
         }
         Surface {
-            point: (corners[0] + e * hit.u + f * hit.v).into(),
+            point,
             geometric_normal: geometric.into(),
             shading_normal: shading.map_or(geometric, |n| towards(n, geometric)).into(),
             magnitude,

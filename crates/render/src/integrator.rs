@@ -147,7 +147,8 @@ impl Integrator<'_> {
             if surface.opacity >= 1.0 || unit(combine(seed, layer)) < surface.opacity {
                 return Some(surface);
             }
-            rest.tnear = surface.t;
+            // `t` is rounded, by less than one unit in the last place: the next number is beyond the surface.
+            rest.tnear = surface.t.next_up();
         }
         None
     }

@@ -37,8 +37,8 @@ fn hit(block: &TriangleBlock, ray: &BlockRay, lane: usize) -> Option<bool> {
     let across = [a[0], a[1], b[0], b[1], c[0], c[1]].map(f32::abs).into_iter().fold(0.0, f32::max);
     let depth = greatest.max(-least);
     let size = across + depth;
-    // False for NaN too: sheared coordinates are NaN only where `depth` is infinite.
-    if !(size < LARGEST) {
+    // Sheared coordinates are NaN only where `depth` is infinite.
+    if size.is_nan() || size >= LARGEST {
         return None;
     }
     let error = EDGE_ERROR * size * (across + SHEAR_ERROR * size) + f32::MIN_POSITIVE;

@@ -2,6 +2,9 @@
 //!
 //! Results are called `ao`: 1 is open, 0 fully occluded, as in glTF. Elsewhere the libraries speak of occlusion, `1 - ao`.
 //!
+//! Rays start a few units in the last place above the receiver's surface: of two surfaces that coincide, neither occludes the
+//! other's receivers.
+//!
 //! Here: receivers, occluders, the integral, images of texels. Not here: reading and writing files, the command line.
 //!
 //! ```

@@ -42,7 +42,8 @@ pub enum Jitter {
     /// Every receiver has a pattern of its own: errors are independent noise.
     #[default]
     Pattern,
-    /// One pattern, turned about the normal by a random angle.
+    /// One pattern, turned about the normal by a random angle. A fifth faster, but the pattern's own error is common to
+    /// all receivers: it shifts the mean (by up to 3e-3 at 64 rays and 5e-4 at 256 on the bunny) where noise would cancel.
     Rotation,
     /// One pattern for all: no noise between receivers with equal normals, but errors have structure.
     Off,

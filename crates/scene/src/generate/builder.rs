@@ -86,7 +86,8 @@ impl Builder {
     /// point; otherwise the end is open too. See [`tube_triangles`] for the count.
     pub fn tube(&mut self, points: &[Vec3], radii: &[f32], sides: usize) {
         let n = points.len();
-        let tangent = |i: usize| (points[(i + 1).min(n - 1)] - points[i.saturating_sub(1)]).normalize_or_zero();
+        let tangent =
+            |i: usize| (points[(i + 1).min(n - 1)] - points[i.saturating_sub(1)]).normalize_or_zero();
         let first = self.mesh.positions.len() as u32;
         let mut frame = Frame::from_normal(tangent(0));
         let pointed = radii[n - 1] == 0.0;
@@ -136,7 +137,13 @@ impl Builder {
 
     /// Sweeps a closed cross-section along `path`: at each point the section's x runs along `side(i)` and its y along
     /// `up(i)`. The ends are open unless `closed` joins them.
-    pub fn sweep(&mut self, path: &[Vec3], axes: impl Fn(usize) -> (Vec3, Vec3), section: &[[f32; 2]], closed: bool) {
+    pub fn sweep(
+        &mut self,
+        path: &[Vec3],
+        axes: impl Fn(usize) -> (Vec3, Vec3),
+        section: &[[f32; 2]],
+        closed: bool,
+    ) {
         let first = self.mesh.positions.len() as u32;
         for (i, &p) in path.iter().enumerate() {
             let (x, y) = axes(i);
@@ -194,10 +201,12 @@ impl Builder {
         let base = self.mesh.positions.len() as u32;
         let at = self.count() as u32;
         let other = other.finish();
-        self.mesh.objects.extend(other.objects.into_iter().map(|o| MeshObject {
-            triangles: o.triangles.start + at..o.triangles.end + at,
-            ..o
-        }));
+        self.mesh.objects.extend(
+            other
+                .objects
+                .into_iter()
+                .map(|o| MeshObject { triangles: o.triangles.start + at..o.triangles.end + at, ..o }),
+        );
         self.mesh.positions.extend_from_slice(&other.positions);
         self.mesh.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + base)));
     }
@@ -231,12 +240,16 @@ pub fn fit(triangles: usize, detail: f64, exponent: f64, build: impl Fn(f64) -> 
         if error < 0.03 {
             break;
         }
-        if ratio < 1.0 { low = Some(detail) } else { high = Some(detail) }
+        if ratio < 1.0 {
+            low = Some(detail)
+        } else {
+            high = Some(detail)
+        }
         detail *= libm::pow(ratio, -1.0 / exponent).clamp(0.25, 4.0);
-        if let (Some(low), Some(high)) = (low, high) {
-            if !(low < detail && detail < high) {
-                detail = (low * high).sqrt();
-            }
+        if let (Some(low), Some(high)) = (low, high)
+            && !(low < detail && detail < high)
+        {
+            detail = (low * high).sqrt();
         }
     }
     best.expect("at least one trial").1

@@ -40,7 +40,8 @@ impl Plan {
         let stems = (triangles / 30_000).clamp(5, 15);
         let stem = tube_triangles(STEM_POINTS, STEM_SIDES, true);
         let branch = tube_triangles(BRANCH_POINTS, BRANCH_SIDES, true) as f64;
-        let twig = tube_triangles(TWIG_POINTS, TWIG_SIDES, true) + LEAVES_PER_TWIG * leaf_triangles(leaf_rows, true);
+        let twig =
+            tube_triangles(TWIG_POINTS, TWIG_SIDES, true) + LEAVES_PER_TWIG * leaf_triangles(leaf_rows, true);
         let each = twig as f64 + branch / TWIGS_PER_BRANCH;
         let twigs = (triangles.saturating_sub(stems * stem) as f64 / each).round().max(1.0);
         let branches = (twigs / TWIGS_PER_BRANCH).round().max(1.0);
@@ -91,7 +92,7 @@ pub fn bush(inputs: &Inputs) -> Generated {
 fn stem(seed: u32, index: usize, count: usize, out: &mut Builder) -> Shoot {
     let mut random = Stream::new(seed, STEM, index);
     let around = TAU * (index as f32 + random.range(-0.3, 0.3)) / count as f32;
-    let spread = if index % 2 == 0 { random.range(0.0, 0.28) } else { random.range(0.4, 0.85) };
+    let spread = if index.is_multiple_of(2) { random.range(0.0, 0.28) } else { random.range(0.4, 0.85) };
     let mut point = heading(around) * random.range(0.02, 0.1);
     let mut along = (Vec3::Y + heading(around) * spread).normalize();
     let length = random.range(1.25, 1.6) * (1.0 - 0.15 * spread);
@@ -119,7 +120,8 @@ fn branch(seed: u32, index: usize, plan: &Plan, stems: &[Shoot], out: &mut Build
     let t = 0.16 + 0.82 * (rank / per_stem).min(1.0);
     let (mut point, stem_along) = stems[index % plan.stems].at(t);
     let frame = Frame::from_normal(stem_along);
-    let outwards = rotate(frame.tangent, stem_along, GOLDEN_ANGLE * (index / plan.stems) as f32 + index as f32);
+    let outwards =
+        rotate(frame.tangent, stem_along, GOLDEN_ANGLE * (index / plan.stems) as f32 + index as f32);
     let away = ((point - CROWN) / REACH).normalize_or(Vec3::Y);
     let mut along = (outwards * 0.8 + stem_along * 0.45 + away * 0.55).normalize();
     // As long as it takes to come near the edge of the crown.
@@ -176,7 +178,8 @@ fn add_leaves(twig: &Shoot, size: f32, rows: usize, random: &mut Stream, out: &m
         let (base, along) = twig.at(0.15 + 0.85 * t);
         let frame = Frame::from_normal(along);
         let side = rotate(frame.tangent, along, GOLDEN_ANGLE * k as f32 + TAU * 0.1 * random.unit());
-        let direction = (side * (1.1 - 0.7 * t) + along * (0.35 + 0.6 * t) + random.direction() * 0.25).normalize();
+        let direction =
+            (side * (1.1 - 0.7 * t) + along * (0.35 + 0.6 * t) + random.direction() * 0.25).normalize();
         let length = size * random.range(0.7, 1.2) * (0.75 + 0.25 * smoothstep(0.0, 0.4, 1.0 - t));
         // Near the ground leaves point up and stay above it.
         let base = base.max(Vec3::new(f32::NEG_INFINITY, 0.4 * length, f32::NEG_INFINITY));

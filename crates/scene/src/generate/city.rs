@@ -163,13 +163,16 @@ fn wall(out: &mut Builder, base: Vec3, along: Vec3, width: f32, height: f32, win
     let columns = (width / windows.bay[0]).round().max(1.0);
     let rows = (height / windows.bay[1]).round().max(1.0);
     let (w, h) = (width / columns, height / rows);
-    let (w0, w1) = (w * (1.0 - windows.opening[0]) / 2.0, w * (1.0 + windows.opening[0]) / 2.0);
-    let (h0, h1) = (h * (1.0 - windows.opening[1]) * 0.6, h * (1.0 - (1.0 - windows.opening[1]) * 0.4));
+    let frame = windows.opening.map(|share| 1.0 - share);
+    let inset = [w * frame[0] * 0.5, h * frame[1] * 0.6, h * frame[1] * 0.4];
     for row in 0..rows as usize {
         for column in 0..columns as usize {
-            let corner = base + along * (w * column as f32) + Vec3::Y * (h * row as f32);
-            let point = |x: f32, y: f32, inwards: f32| corner + along * x + Vec3::Y * y - normal * inwards;
-            let outer = [[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]].map(|[x, y]| out.vertex(point(x, y, 0.0)));
+            let point = |x: f32, y: f32, inwards: f32| base + along * x + Vec3::Y * y - normal * inwards;
+            // The same expression for the end of one bay and the start of the next, so that no crack opens.
+            let [x0, x1] = [column, column + 1].map(|k| w * k as f32);
+            let [y0, y1] = [row, row + 1].map(|k| h * k as f32);
+            let (w0, w1, h0, h1) = (x0 + inset[0], x1 - inset[0], y0 + inset[1], y1 - inset[2]);
+            let outer = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].map(|[x, y]| out.vertex(point(x, y, 0.0)));
             let edges = [[w0, h0], [w1, h0], [w1, h1], [w0, h1]];
             let rim = edges.map(|[x, y]| out.vertex(point(x, y, 0.0)));
             let glass = edges.map(|[x, y]| out.vertex(point(x, y, windows.depth)));
@@ -180,7 +183,8 @@ fn wall(out: &mut Builder, base: Vec3, along: Vec3, width: f32, height: f32, win
             }
             out.quad(glass[0], glass[1], glass[2], glass[3]);
             if windows.sill {
-                let corners = |y: f32| [point(w0, y, 0.0), point(w1, y, 0.0), point(w1, y, -0.05), point(w0, y, -0.05)];
+                let corners =
+                    |y: f32| [point(w0, y, 0.0), point(w1, y, 0.0), point(w1, y, -0.05), point(w0, y, -0.05)];
                 let [a, b, c, d] = corners(h0 - 0.04);
                 let [e, f, g, i] = corners(h0);
                 out.hexahedron([a, b, c, d, e, f, g, i]);
@@ -224,7 +228,11 @@ fn roof_clutter(out: &mut Builder, lot: Lot, y: f32, random: &mut Stream) {
             let leg = place + heading(TAU * (k as f32 + 0.5) / 4.0) * 0.3;
             out.cuboid(leg - vec3(0.03, 0.0, 0.03), leg + vec3(0.03, 0.5, 0.03));
         }
-        out.lathe(place, &[[0.0, 0.5], [0.4, 0.5], [0.4, 1.1], [0.0, 1.35]].map(|[r, h]: [f32; 2]| [r.max(0.01), h]), 10);
+        out.lathe(
+            place,
+            &[[0.0, 0.5], [0.4, 0.5], [0.4, 1.1], [0.0, 1.35]].map(|[r, h]: [f32; 2]| [r.max(0.01), h]),
+            10,
+        );
     }
 }
 
@@ -234,7 +242,12 @@ fn tower(out: &mut Builder, lot: Lot, height: f32, detail: f32, random: &mut Str
     let tiers = 1 + random.below(3);
     let (mut lot, mut foot) = (lot, 0.0);
     let (ground, base) = (lot.min.y, 1.1);
-    storeys(out, lot, base, Windows { bay: [windows.bay[0] * 1.6, base], opening: [0.8, 0.75], sill: false, ..windows });
+    storeys(
+        out,
+        lot,
+        base,
+        Windows { bay: [windows.bay[0] * 1.6, base], opening: [0.8, 0.75], sill: false, ..windows },
+    );
     ledge(out, lot, base, 0.1, 0.1);
     foot += base;
     for tier in 0..tiers {
@@ -271,7 +284,12 @@ fn tenement(out: &mut Builder, lot: Lot, height: f32, detail: f32, random: &mut 
         lot.min.z += depth;
     }
     let base = 1.0;
-    storeys(out, lot, base, Windows { bay: [windows.bay[0] * 1.5, base], opening: [0.75, 0.8], sill: false, ..windows });
+    storeys(
+        out,
+        lot,
+        base,
+        Windows { bay: [windows.bay[0] * 1.5, base], opening: [0.75, 0.8], sill: false, ..windows },
+    );
     ledge(out, lot, base, 0.07, 0.07);
     let ground = lot.min.y;
     lot.min.y += base;
@@ -352,7 +370,8 @@ fn tree(out: &mut Builder, place: Vec3, random: &mut Stream, detail: f32) {
 
 fn park(out: &mut Builder, center: Vec3, random: &mut Stream, detail: f32) {
     for _ in 0..18 {
-        let place = center + vec3(random.signed(), 0.0, random.signed()) * (BLOCK * 0.42) + Vec3::Y * PAVEMENT;
+        let place =
+            center + vec3(random.signed(), 0.0, random.signed()) * (BLOCK * 0.42) + Vec3::Y * PAVEMENT;
         tree(out, place, random, detail);
     }
 }

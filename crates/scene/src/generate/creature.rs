@@ -105,7 +105,12 @@ fn legs(shape: &mut Shape, side: f64, vary: &mut Proportions) {
         let (x, y, z, _) = leg[3];
         for toe in [-1.0, 0.0, 1.0] {
             let tip = (x + 0.13 - 0.02 * toe * toe, y - 0.015, z + 0.055 * toe, 0.018);
-            chain(shape, side, 0.02, &[(x, y, z + 0.02 * toe, 0.038), (x + 0.08, y + 0.005, z + 0.045 * toe, 0.032), tip]);
+            chain(
+                shape,
+                side,
+                0.02,
+                &[(x, y, z + 0.02 * toe, 0.038), (x + 0.08, y + 0.005, z + 0.045 * toe, 0.032), tip],
+            );
         }
     }
 }
@@ -115,7 +120,12 @@ fn wing(shape: &mut Shape, side: f64, vary: &mut Proportions) {
     let point = |x: f64, y: f64, z: f64| mirrored(dvec3(x, y + lift * z, z), side);
     let (shoulder, elbow) = (point(0.10, 0.76, 0.12), point(-0.08, 1.12, 0.36));
     let wrist = point(0.10, 1.42, 0.66);
-    let tips = [point(-0.18, 1.66, 1.22), point(-0.52, 1.30, 1.18), point(-0.70, 1.00, 0.90), point(-0.66, 0.80, 0.52)];
+    let tips = [
+        point(-0.18, 1.66, 1.22),
+        point(-0.52, 1.30, 1.18),
+        point(-0.70, 1.00, 0.90),
+        point(-0.66, 0.80, 0.52),
+    ];
     let root = point(-0.42, 0.70, 0.10);
     shape.chain(&[(shoulder, 0.07), (elbow, 0.048), (wrist, 0.04)], 0.04);
     for tip in tips {
@@ -128,7 +138,9 @@ fn wing(shape: &mut Shape, side: f64, vary: &mut Proportions) {
         shape.membrane([wrist, sag, pair[1]], 0.011, 0.012);
     }
     let inner = tips[3].lerp(root, 0.5).lerp(elbow, 0.2);
-    for corners in [[wrist, tips[3], elbow], [elbow, tips[3], inner], [elbow, inner, root], [elbow, root, shoulder]] {
+    for corners in
+        [[wrist, tips[3], elbow], [elbow, tips[3], inner], [elbow, inner, root], [elbow, root, shoulder]]
+    {
         shape.membrane(corners, 0.011, 0.012);
     }
     shape.bone(wrist, wrist + dvec3(0.10, 0.06, 0.0), [0.025, 0.008], 0.02);
@@ -173,7 +185,10 @@ pub fn character(seed: u32, index: usize, kind: usize, size: f64, triangles: usi
         }
         let knee = dvec3(0.08, 0.20, side * girth * 0.62);
         let foot = dvec3(0.05, 0.065, side * girth * 0.68);
-        shape.chain(&[(hip + dvec3(0.0, -0.06, side * girth * 0.45), 0.13), (knee, 0.10), (foot, 0.065)], 0.06);
+        shape.chain(
+            &[(hip + dvec3(0.0, -0.06, side * girth * 0.45), 0.13), (knee, 0.10), (foot, 0.065)],
+            0.06,
+        );
         shape.bone(foot, foot + dvec3(0.17, -0.005, side * 0.03), [0.065, 0.055], 0.04);
         shape.ball(skull + dvec3(0.13, 0.055, side * 0.075), 0.045, 0.02);
         ears(&mut shape, skull, side, kind);
@@ -208,7 +223,11 @@ fn ears(shape: &mut Shape, skull: DVec3, side: f64, kind: usize) {
     let base = skull + dvec3(-0.02, 0.12, side * 0.07);
     match kind {
         0 => shape.chain(
-            &[(base, 0.045), (base + dvec3(-0.03, 0.18, side * 0.05), 0.055), (base + dvec3(-0.09, 0.34, side * 0.11), 0.025)],
+            &[
+                (base, 0.045),
+                (base + dvec3(-0.03, 0.18, side * 0.05), 0.055),
+                (base + dvec3(-0.09, 0.34, side * 0.11), 0.025),
+            ],
             0.03,
         ),
         1 => shape.bone(base, base + dvec3(-0.02, 0.09, side * 0.03), [0.055, 0.02], 0.03),

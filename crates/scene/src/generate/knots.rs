@@ -24,7 +24,11 @@ impl Curve {
         }
         let mut random = Stream::new(inputs.seed, 0, 0);
         let sway = std::array::from_fn(|_| {
-            [random.range(0.9, 2.1).into(), (TAU as f32 * random.unit()).into(), random.range(0.04, 0.14).into()]
+            [
+                random.range(0.9, 2.1).into(),
+                (TAU as f32 * random.unit()).into(),
+                random.range(0.04, 0.14).into(),
+            ]
         });
         Self { turns: turns.into(), windings: windings.into(), sway }
     }

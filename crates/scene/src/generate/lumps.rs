@@ -16,11 +16,11 @@ use umbrage_geom::{
 pub fn blob(inputs: &Inputs) -> Generated {
     let strength = inputs.number("bumps") as f32;
     let mut random = Stream::new(inputs.seed, 0, 0);
-    let lobes: Vec<(Vec3, f32, f32)> = (0..14)
-        .map(|_| (random.direction(), random.range(-0.35, 0.6), random.range(2.5, 9.0)))
-        .collect();
+    let lobes: Vec<(Vec3, f32, f32)> =
+        (0..14).map(|_| (random.direction(), random.range(-0.35, 0.6), random.range(2.5, 9.0))).collect();
     let radius = |d: Vec3| {
-        let lobes: f32 = lobes.iter().map(|&(at, height, narrow)| height * libm::expf(narrow * (at.dot(d) - 1.0))).sum();
+        let lobes: f32 =
+            lobes.iter().map(|&(at, height, narrow)| height * libm::expf(narrow * (at.dot(d) - 1.0))).sum();
         let grain = fractal_noise(inputs.seed, d * 2.2, 3);
         (1.0 + strength * (lobes + 0.3 * grain)).max(0.2)
     };
@@ -45,7 +45,8 @@ impl Stone {
         let mut cuts: Vec<_> = (0..18).map(|_| (random.direction(), random.range(0.72, 1.0))).collect();
         // A foot to stand on.
         cuts.push((Vec3::NEG_Y, random.range(0.35, 0.6)));
-        let stretch = Vec3::new(random.range(0.8, 1.25), random.range(0.55, 0.9), random.range(0.8, 1.25)) * size;
+        let stretch =
+            Vec3::new(random.range(0.8, 1.25), random.range(0.55, 0.9), random.range(0.8, 1.25)) * size;
         Self { cuts, stretch, seed: seed.wrapping_mul(31).wrapping_add(index as u32 * 7919) }
     }
 

@@ -32,7 +32,7 @@ impl Stream {
 
     /// Uniform in `0..count`, for a small `count`.
     pub fn below(&mut self, count: usize) -> usize {
-        (u64::from(self.0.next_u32()) * count as u64 >> 32) as usize
+        ((u64::from(self.0.next_u32()) * count as u64) >> 32) as usize
     }
 
     /// `true` with the given probability.

@@ -1,8 +1,8 @@
 //! The table of generators: names, parameters, sizes.
 
 use super::{
-    GeneratorInfo, ParameterInfo, ParameterKind, bamboo, bush, city, control, creature, knots, lumps, particles, shapes, stage,
-    strands,
+    GeneratorInfo, ParameterInfo, ParameterKind, bamboo, bush, cathedral, city, control, creature, knots,
+    lumps, particles, shapes, stage, strands,
 };
 
 const fn number(
@@ -103,6 +103,15 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 879_000,
         min_triangles: 20_000,
         build: city::city,
+        ..OPEN
+    },
+    GeneratorInfo {
+        name: "cathedral",
+        summary: "the inside of a Gothic church: columns, ribbed vaults, windows with tracery, pews",
+        parameters: &[integer("bays", 6, 3, 20, "length of the nave, in bays of 5 units")],
+        default_triangles: 77_000,
+        min_triangles: 30_000,
+        build: cathedral::cathedral,
         ..OPEN
     },
     GeneratorInfo {

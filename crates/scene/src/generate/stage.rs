@@ -103,6 +103,7 @@ fn branch(seed: u32, index: usize, out: &mut Builder) -> Vec<Vec3> {
     let height = TRUNK_HEIGHT * random.range(0.72, 0.97);
     let away = heading(GOLDEN_ANGLE * index as f32);
     let mut point = TRUNK + Vec3::Y * height + away * 0.16;
+    let away = if index.is_multiple_of(4) { away * 0.2 } else { away };
     let mut along = (away + Vec3::Y * random.range(0.05, 0.75)).normalize();
     let step = random.range(1.1, 1.9) / (BRANCH_POINTS - 1) as f32;
     let mut points = Vec::new();
@@ -163,10 +164,12 @@ mod tests {
         let parameters = Parameters { triangles: Some(30_000), ..Parameters::default() };
         let mesh = generate("stage", &parameters).unwrap().mesh;
         let names: Vec<_> = mesh.objects.iter().map(|o| o.name.as_str()).collect();
-        let expected =
-            ["ground", "character 1", "character 2", "character 3", "trunk", "branches", "leaves"];
+        let expected = ["ground", "character 1", "character 2", "character 3", "trunk", "branches", "leaves"];
         assert_eq!(names, expected);
-        assert_eq!(mesh.objects[5].triangles.len(), BRANCHES * tube_triangles(BRANCH_POINTS, BRANCH_SIDES, true));
+        assert_eq!(
+            mesh.objects[5].triangles.len(),
+            BRANCHES * tube_triangles(BRANCH_POINTS, BRANCH_SIDES, true)
+        );
         for object in &mesh.objects[1..=CHARACTERS] {
             super::super::tests::assert_solid(&mesh, object.triangles.clone(), &object.name);
         }

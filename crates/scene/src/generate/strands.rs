@@ -20,7 +20,8 @@ impl Plan {
     /// and coarser strands.
     fn new(triangles: usize, full: f64, strands: f64, pointed: bool, sides: [usize; 2]) -> Self {
         let share = triangles as f64 / full;
-        let wanted = (strands * share.powi(3).sqrt().sqrt()).max(12.0);
+        // Hair, whose ends are open, winds more and needs more points.
+        let wanted = (strands * libm::pow(share, if pointed { 0.75 } else { 0.88 })).max(12.0);
         let each = triangles as f64 / wanted;
         let sides = if each < 120.0 { sides[0] } else { sides[1] };
         let points = ((each / (2 * sides) as f64).round() as usize + 1).clamp(6, 256);
@@ -53,7 +54,11 @@ pub fn tentacles(inputs: &Inputs) -> Generated {
         let root = thickness * random.range(0.75, 1.15);
         radii.extend((0..plan.points).map(|k| {
             let t = k as f32 / (plan.points - 1) as f32;
-            if k + 1 == plan.points { 0.0 } else { root * (1.0 - 0.85 * t) * (1.0 + 0.25 * (1.0 - t).powi(6)) }
+            if k + 1 == plan.points {
+                0.0
+            } else {
+                root * (1.0 - 0.85 * t) * (1.0 + 0.25 * (1.0 - t).powi(6))
+            }
         }));
         builder.tube(&points, &radii, plan.sides);
     }
@@ -131,7 +136,8 @@ fn wind_hair(count: usize, random: &mut Stream, points: &mut Vec<Vec3>) {
     for k in 0..count {
         let t = k as f32 * step;
         let (ripple, _) = super::random::sin_cos(TAU * wave[0] * t + wave[1]);
-        let radius = 0.12 + (shell - 0.12) * smoothstep(0.0, 0.35, t) + ripple * wave[2] * smoothstep(0.05, 0.4, t);
+        let radius =
+            0.12 + (shell - 0.12) * smoothstep(0.0, 0.35, t) + ripple * wave[2] * smoothstep(0.05, 0.4, t);
         let radius = radius + loose * smoothstep(0.8, 1.0, t);
         points.push(direction * radius + Vec3::Y * 1.1);
         // The axis turns with the hair, so that its way on the sphere isn't a plain circle.

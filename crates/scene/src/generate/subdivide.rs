@@ -18,7 +18,10 @@ pub fn linear(mesh: &TriangleMesh, levels: u32) -> TriangleMesh {
         objects: mesh
             .objects
             .iter()
-            .map(|o| MeshObject { triangles: o.triangles.start * n * n..o.triangles.end * n * n, ..o.clone() })
+            .map(|o| MeshObject {
+                triangles: o.triangles.start * n * n..o.triangles.end * n * n,
+                ..o.clone()
+            })
             .collect(),
         ..TriangleMesh::default()
     };
@@ -105,9 +108,11 @@ mod tests {
             vec![[0, 1, 2], [0, 2, 3]],
         )
         .unwrap();
-        quad.corner_uvs = quad.triangles.iter().map(|t| {
-            t.map(|v| [quad.positions[v as usize][0], quad.positions[v as usize][1]])
-        }).collect();
+        quad.corner_uvs = quad
+            .triangles
+            .iter()
+            .map(|t| t.map(|v| [quad.positions[v as usize][0], quad.positions[v as usize][1]]))
+            .collect();
         quad.objects = quad.objects_or_whole();
         for levels in 1..4 {
             let fine = linear(&quad, levels);

@@ -136,7 +136,7 @@ fn closed() -> impl Iterator<Item = &'static GeneratorInfo> {
 #[test]
 fn closed_generators_are_closed() {
     for info in closed() {
-        for triangles in [6_000, 40_000] {
+        for triangles in [6_000, 25_000] {
             let mesh = mesh(info.name, triangles);
             for object in &mesh.objects {
                 assert_closed(&mesh, object.triangles.clone(), info.name);
@@ -189,12 +189,16 @@ fn defaults_are_near_their_counts() {
 #[test]
 fn meshes_are_valid_and_have_named_opaque_objects() {
     for info in generators() {
-        for seed in [0, 1, u32::MAX] {
+        for seed in [1, u32::MAX] {
             let parameters = Parameters { seed, ..sized(info.name, info.min_triangles) };
             let generated = generate(info.name, &parameters).unwrap();
             generated.mesh.validate().unwrap();
             assert!(!generated.mesh.objects.is_empty(), "{}", info.name);
-            assert!(generated.mesh.objects.iter().all(|o| !o.name.is_empty() && o.opacity == 1.0), "{}", info.name);
+            assert!(
+                generated.mesh.objects.iter().all(|o| !o.name.is_empty() && o.opacity == 1.0),
+                "{}",
+                info.name
+            );
             assert_eq!(generated.control.is_some(), info.fixed);
             let low = generated.mesh.positions.iter().map(|p| p[1]).fold(f32::INFINITY, f32::min);
             assert!(low > -0.5, "{} reaches down to {low}", info.name);
@@ -205,9 +209,13 @@ fn meshes_are_valid_and_have_named_opaque_objects() {
 #[test]
 fn seeds_decide_the_bits() {
     for info in generators() {
-        let with = |seed| generate(info.name, &Parameters { seed, ..sized(info.name, 20_000) }).unwrap();
-        assert_eq!(with(3), with(3), "{}", info.name);
-        assert_eq!(with(3) != with(4), info.seeded, "{}", info.name);
+        let with = |seed| {
+            generate(info.name, &Parameters { seed, ..sized(info.name, info.min_triangles.max(6_000)) })
+                .unwrap()
+        };
+        let three = with(3);
+        assert_eq!(three, with(3), "{}", info.name);
+        assert_eq!(three != with(4), info.seeded, "{}", info.name);
     }
 }
 
@@ -259,10 +267,14 @@ fn extreme_parameters_stay_closed() {
 
 #[test]
 fn bad_requests_are_named() {
-    let value = |name: &str, value| Parameters { values: [(name.to_owned(), value)].into(), ..Parameters::default() };
+    let value =
+        |name: &str, value| Parameters { values: [(name.to_owned(), value)].into(), ..Parameters::default() };
     let message = |name: &str, parameters: Parameters| generate(name, &parameters).unwrap_err().to_string();
     let unknown = message("bish", Parameters::default());
-    assert!(unknown.starts_with("unknown generator 'bish' (known: ") && unknown.contains("hairball"), "{unknown}");
+    assert!(
+        unknown.starts_with("unknown generator 'bish' (known: ") && unknown.contains("hairball"),
+        "{unknown}"
+    );
     assert_eq!(
         message("sphere", value("colour", ParameterValue::Number(1.0))),
         "generator 'sphere' has no parameter 'colour' (known: seed, triangles, level)"
@@ -271,7 +283,9 @@ fn bad_requests_are_named() {
         message("cube-sphere", Parameters { level: Some(1), ..Parameters::default() }),
         "generator 'cube-sphere' has no parameter 'level' (known: seed)"
     );
-    for bad in [ParameterValue::Number(f64::NAN), ParameterValue::Number(-1.0), ParameterValue::Text("x".into())] {
+    for bad in
+        [ParameterValue::Number(f64::NAN), ParameterValue::Number(-1.0), ParameterValue::Text("x".into())]
+    {
         let result = generate("plane", &value("width", bad));
         assert!(matches!(result, Err(GenerateError::OutOfRange { generator: "plane", .. })));
     }
@@ -283,10 +297,7 @@ fn bad_requests_are_named() {
         message("particles", value("mode", ParameterValue::Text("both".into()))),
         "mode = 'both' of generator 'particles' is not 'transmit' or 'block'"
     );
-    assert_eq!(
-        message("knots", sized("knots", 1)),
-        "triangles = 1 of generator 'knots' is not 5000 or more"
-    );
+    assert_eq!(message("knots", sized("knots", 1)), "triangles = 1 of generator 'knots' is not 5000 or more");
     for info in generators().iter().filter(|g| !g.fixed) {
         for huge in [1_000_000_000, usize::MAX] {
             let result = generate(info.name, &sized(info.name, huge));
