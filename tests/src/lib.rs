@@ -1,1 +1,1 @@
-//! Tests across crates live in `tests/`.
+//! Tests across crates; they are in `tests/`, their stored images and scenes in `golden/`.

@@ -18,7 +18,7 @@ pub struct BuildOptions {
     /// What the build spends its time on.
     pub quality: BuildQuality,
     /// Most triangles in a leaf, 1 to 8; other values are clamped. Against 4, the default of 8 takes 0.6 of the memory and
-    /// answers 2 to 14 % more any-hit queries on AVX2 (AMD EPYC, `examples/anyhit_speed.rs`, bunny_60k and a sphere of 1 M).
+    /// answers 2 to 15 % more any-hit queries on AVX2 (AMD EPYC, `examples/anyhit_speed.rs`, bunny_60k and a sphere of 1 M).
     pub leaf_size: u8,
 }
 

@@ -77,19 +77,26 @@ fn length_and_thickness(points: &[DVec3]) -> (f64, f64) {
             }
         }
     }
-    (length, curvature.min(nearest.sqrt() / 2.0))
+    // The nearest points lie up to half a step from the samples on either strand.
+    let nearest = (nearest.sqrt() - length / n as f64).max(0.0);
+    (length, curvature.min(nearest / 2.0))
 }
 
 pub fn knots(inputs: &Inputs) -> Generated {
     let curve = Curve::new(inputs);
-    let samples = 40 * (curve.turns.max(curve.windings) as usize).max(20);
+    let loops = curve.turns.max(curve.windings) as usize;
+    let samples = 200 * loops.max(20);
     let points: Vec<DVec3> = (0..samples).map(|i| curve.point(i as f64 / samples as f64)).collect();
     let (length, thickness) = length_and_thickness(&points);
     let radius = thickness * inputs.number("thickness");
     // Facets about as long as wide.
     let square = (inputs.triangles as f64 * PI * radius / length).sqrt();
     let sides = (square.round() as usize).max(5);
-    let rings = (inputs.triangles / (2 * sides)).max(3);
+    // Fewer rings would cut corners into other strands; what they still cut is taken off the radius.
+    let rings = (inputs.triangles / (2 * sides)).max(32 * loops);
+    let at = |i: usize, half: f64| curve.point((i as f64 + half) / rings as f64);
+    let sag = (0..rings).map(|i| ((at(i, 0.0) + at(i, 1.0)) / 2.0).distance(at(i, 0.5))).fold(0.0, f64::max);
+    let radius = radius.min(0.95 * thickness - sag).max(0.1 * thickness);
     tube(&curve, radius, rings, sides).into()
 }
 

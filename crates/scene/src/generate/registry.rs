@@ -144,12 +144,12 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         name: "knots",
         summary: "closed: a long thin tube along a torus knot, thick nowhere",
         parameters: &[
-            integer("turns", 7, 1, 40, "times around the hole's axis"),
-            integer("windings", 17, 1, 60, "times through the hole; raised until coprime to the turns"),
+            integer("turns", 7, 1, 20, "times around the hole's axis"),
+            integer("windings", 17, 1, 40, "times through the hole; raised until coprime to the turns"),
             number("thickness", 0.6, 0.05, 0.9, "of the tube, as a fraction of where it would touch itself"),
         ],
         default_triangles: 200_000,
-        min_triangles: 5000,
+        min_triangles: 6000,
         build: knots::knots,
         ..CLOSED
     },

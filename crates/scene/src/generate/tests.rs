@@ -253,6 +253,7 @@ fn extreme_parameters_stay_closed() {
         ("rocks", with(&[("count", 100.0)])),
         ("knots", with(&[("turns", 2.0), ("windings", 3.0), ("thickness", 0.9)])),
         ("knots", with(&[("turns", 3.0), ("windings", 3.0), ("thickness", 0.05)])),
+        ("knots", with(&[("turns", 20.0), ("windings", 39.0), ("thickness", 0.9)])),
         ("box", with(&[("width", 1e-3), ("height", 1e6)])),
     ];
     for (name, parameters) in cases {
@@ -297,7 +298,7 @@ fn bad_requests_are_named() {
         message("particles", value("mode", ParameterValue::Text("both".into()))),
         "mode = 'both' of generator 'particles' is not 'transmit' or 'block'"
     );
-    assert_eq!(message("knots", sized("knots", 1)), "triangles = 1 of generator 'knots' is not 5000 or more");
+    assert_eq!(message("knots", sized("knots", 1)), "triangles = 1 of generator 'knots' is not 6000 or more");
     for info in generators().iter().filter(|g| !g.fixed) {
         for huge in [1_000_000_000, usize::MAX] {
             let result = generate(info.name, &sized(info.name, huge));

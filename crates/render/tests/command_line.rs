@@ -1,0 +1,341 @@
+//! The program as a user runs it: pictures, bakes, parts, and one line for each mistake.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+use tempfile::TempDir;
+
+const SCENE: &str = r#"
+[image]
+width = 70
+height = 40
+spp = 2
+[camera]
+position = [3, 2, 4]
+target = [0, 0.3, 0]
+[ambient]
+radiance = 0.4
+radius = 1.0
+[[objects]]
+mesh = { generator = "plane", width = 8, depth = 8 }
+[[objects]]
+mesh = { generator = "blob", triangles = 500 }
+translate = [0, 0.5, 0]
+[[lights]]
+type = "sphere"
+center = [2, 4, 1]
+radius = 0.4
+radiance = 30
+"#;
+
+/// A tetrahedron with texture coordinates.
+const OBJ: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n\
+    f 1/1 3/2 2/3\nf 1/1 2/2 4/3\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n";
+
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        fs::write(folder.path("scene.toml"), SCENE).unwrap();
+        fs::write(folder.path("mesh.obj"), OBJ).unwrap();
+        folder
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Runs the program in the folder; arguments are separated by blanks.
+    fn run(&self, arguments: &str) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_umbrage"))
+            .args(arguments.split_whitespace())
+            .current_dir(self.0.path())
+            .output()
+            .unwrap()
+    }
+
+    fn ok(&self, arguments: &str) -> String {
+        let output = self.run(arguments);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{arguments}: {error}");
+        assert!(error.is_empty(), "{arguments} is not quiet: {error}");
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    fn bytes(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap()
+    }
+
+    fn files(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.0.path()).unwrap();
+        let mut names: Vec<_> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    /// The mistake must give one line with all of `words`, exit code 2, and no new file.
+    fn fails(&self, arguments: &str, words: &[&str]) {
+        let before = self.files();
+        let output = self.run(arguments);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments}: {error}");
+        let usage = error.starts_with("error: ");
+        assert!(usage || error.trim_end().lines().count() == 1, "{arguments}: not one line: {error}");
+        for word in words {
+            assert!(error.contains(word), "{arguments}: '{word}' is not in: {error}");
+        }
+        assert_eq!(self.files(), before, "{arguments} left something behind");
+    }
+}
+
+#[test]
+fn a_picture_does_not_depend_on_threads_or_shards() {
+    let folder = Folder::new();
+    folder.ok("render scene.toml -o one.exr --threads 1 --stats stats.json --heatmap heat.png");
+    folder.ok("render scene.toml -o two.exr --threads 2");
+    assert_eq!(folder.bytes("one.exr"), folder.bytes("two.exr"));
+    for i in 1..=3 {
+        folder.ok(&format!("render scene.toml -o part{i}.exr --shard {i}/3"));
+    }
+    folder.ok("merge joined.exr part2.exr part1.exr part3.exr");
+    assert_eq!(folder.bytes("one.exr"), folder.bytes("joined.exr"));
+    folder.ok("render scene.toml -o one.png");
+    folder.ok("merge joined.png part2.exr part1.exr part3.exr");
+    assert_eq!(folder.bytes("one.png"), folder.bytes("joined.png"));
+    let stats: serde_json::Value = serde_json::from_slice(&folder.bytes("stats.json")).unwrap();
+    assert_eq!(stats["width"], 70);
+    assert_eq!(stats["shadows"]["method"], "bvh");
+    assert_eq!(stats["rays"]["camera"], 70 * 40 * 2);
+    assert!(stats["counters"]["triangle_tests"].as_u64().unwrap() > 0);
+    assert!(stats["mrays_s"].as_f64().unwrap() > 0.0);
+    folder.fails("merge bad.exr part1.exr part3.exr", &["3 shards", "missing: 2"]);
+    folder.fails("merge bad.exr part1.exr part1.exr part3.exr", &["part1.exr"]);
+    folder.ok("render scene.toml -o other.exr --shard 2/3 --spp 3");
+    folder.fails("merge bad.exr part1.exr other.exr part3.exr", &["other.exr", "differ"]);
+    folder.fails("merge bad.exr one.exr", &["one.exr"]);
+}
+
+#[test]
+fn a_mesh_alone_makes_a_picture() {
+    let folder = Folder::new();
+    folder.ok("render mesh.obj --size 64x48 --spp 1");
+    let comparison = folder.ok("compare mesh.png mesh.png --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    assert_eq!((comparison["width"].as_u64(), comparison["rmse"].as_f64()), (Some(64), Some(0.0)));
+}
+
+#[test]
+fn comparing_reports_errors_and_thresholds() {
+    let folder = Folder::new();
+    folder.ok("render scene.toml -o a.exr");
+    folder.ok("render scene.toml -o b.exr --spp 3");
+    let json = folder.ok("compare a.exr b.exr --json --difference d.png");
+    let comparison: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let rmse = comparison["rmse"].as_f64().unwrap();
+    assert!(rmse > 0.0 && comparison["flip"].as_f64().unwrap() > 0.0);
+    assert!(folder.path("d.png").exists());
+    assert_eq!(folder.run("compare a.exr b.exr --max-rmse 1e-9").status.code(), Some(1));
+    folder.ok("compare a.exr b.exr --max-rmse 10");
+    folder.ok("render scene.toml -o small.exr --size 8x8");
+    folder.fails("compare a.exr small.exr", &["70 x 40", "8 x 8"]);
+    folder.fails("compare a.exr none.exr", &["none.exr"]);
+}
+
+/// The `ao` values of a baked PLY.
+fn ao(path: &Path) -> Vec<f32> {
+    umbrage_scene::read_ply_vertices(path).unwrap().ao
+}
+
+#[test]
+fn bakes_do_not_depend_on_threads_or_shards() {
+    let folder = Folder::new();
+    // A blob on a ground has all kinds of values, in more than one block of receivers.
+    fs::write(folder.path("blob.toml"), SCENE.replace("triangles = 500", "triangles = 900")).unwrap();
+    let bake = "bake blob.toml --rays 64 --radius 50% --falloff linear";
+    folder.ok(&format!("{bake} -o one.ply --threads 1 --stats stats.json"));
+    folder.ok(&format!("{bake} -o two.ply --threads 2"));
+    assert_eq!(folder.bytes("one.ply"), folder.bytes("two.ply"));
+    for i in 1..=2 {
+        folder.ok(&format!("{bake} -o part{i}.ply --shard {i}/2"));
+    }
+    folder.ok("merge joined.ply part2.ply part1.ply");
+    assert_eq!(folder.bytes("one.ply"), folder.bytes("joined.ply"));
+    let values = ao(&folder.path("one.ply"));
+    assert!(values.iter().all(|v| (0.0..=1.0).contains(v)));
+    assert!(values.iter().any(|&v| v > 0.95) && values.iter().any(|&v| v < 0.7));
+    let stats: serde_json::Value = serde_json::from_slice(&folder.bytes("stats.json")).unwrap();
+    assert_eq!(stats["receivers"].as_u64().unwrap() as usize, values.len());
+    folder.fails("merge bad.ply part1.ply", &["missing: 2"]);
+    folder.fails("merge bad.ply one.ply part2.ply", &["one.ply"]);
+    folder.fails("merge bad.png part1.ply part2.ply", &["bad.png", ".ply or .obj"]);
+}
+
+#[test]
+fn bakes_reach_every_kind_of_output() {
+    let folder = Folder::new();
+    // A tetrahedron is convex: nothing is occluded, but for the ground.
+    folder.ok("bake mesh.obj -o mesh.ply");
+    assert_eq!(ao(&folder.path("mesh.ply")), [1.0; 4]);
+    let mesh = umbrage_scene::read_mesh(&folder.path("mesh.ply")).unwrap();
+    assert_eq!(mesh.vertex_colors, vec![[1.0; 3]; 4]);
+    folder.ok("bake mesh.obj -o ground.ply --ground --normals geometric");
+    assert!(ao(&folder.path("ground.ply")).iter().all(|&v| v < 1.0));
+    folder.ok("bake mesh.obj -o shade.ply --occluder mesh.ply --sides front --seed 3 --bias 1e-4");
+    folder.ok("bake mesh.obj -o mesh-ao.obj");
+    assert!(String::from_utf8(folder.bytes("mesh-ao.obj")).unwrap().contains("v 0 0 0 1 1 1"));
+    folder.ok("bake mesh.obj -o texels.png --per texel --size 32");
+    folder.ok("bake mesh.obj -o texels.exr --per texel --size 32x16 --rays 8 --ground");
+    for i in 1..=2 {
+        folder.ok(&format!(
+            "bake mesh.obj -o t{i}.ply --per texel --size 32x16 --rays 8 --ground --shard {i}/2"
+        ));
+    }
+    folder.ok("merge joined.exr t1.ply t2.ply");
+    assert_eq!(folder.bytes("texels.exr"), folder.bytes("joined.exr"));
+    let points = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+        property float nx\nproperty float ny\nproperty float nz\nend_header\n\
+        0.2 0.2 0.2 0 1 0\n5 5 5 0 0 1\n";
+    fs::write(folder.path("points.ply"), points).unwrap();
+    folder.ok("bake mesh.obj -o points-ao.ply --points points.ply");
+    // The first lies inside the tetrahedron.
+    assert_eq!(ao(&folder.path("points-ao.ply")), [0.0, 1.0]);
+}
+
+#[test]
+fn inspect_and_scenes_talk_to_people_and_scripts() {
+    let folder = Folder::new();
+    assert!(folder.ok("inspect mesh.obj").contains('4'));
+    let json: serde_json::Value = serde_json::from_str(&folder.ok("inspect mesh.obj --json")).unwrap();
+    assert_eq!(json["triangles"], 4);
+    assert_eq!(json["degenerate_triangles"], 0);
+    folder.ok("inspect scene.toml --json");
+    let list: serde_json::Value = serde_json::from_str(&folder.ok("scenes --json")).unwrap();
+    for name in [
+        "bush",
+        "tentacles",
+        "bamboo",
+        "particles",
+        "hairball",
+        "city",
+        "cathedral",
+        "dragonish",
+        "rocks",
+        "blob",
+        "knots",
+        "stage",
+        "plane",
+        "sphere",
+        "box",
+        "cube-sphere",
+    ] {
+        assert!(list.as_array().unwrap().iter().any(|g| g["name"] == name), "{name}");
+    }
+    assert!(folder.ok("scenes bush").contains("leaves"));
+    folder.fails("scenes tree", &["tree", "bush"]);
+}
+
+#[test]
+fn every_mistake_is_one_line_that_names_the_culprit() {
+    let folder = Folder::new();
+    let write = |name: &str, content: &[u8]| fs::write(folder.path(name), content).unwrap();
+    write("zero.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n");
+    write("past.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n");
+    write("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n");
+    write("inf.obj", b"v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n");
+    write("empty.obj", b"");
+    write("garbage.obj", &[0xff, 0x00, 0x13, 0x37].repeat(100));
+    write("garbage.ply", &[0xff, 0x00, 0x13, 0x37].repeat(100));
+    write("garbage.glb", &[0xff, 0x00, 0x13, 0x37].repeat(100));
+    write(
+        "short.ply",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n",
+    );
+    write("short.glb", b"glTF\x02\x00\x00\x00\xff\xff\x00\x00");
+    fs::create_dir(folder.path("folder.obj")).unwrap();
+    let mistakes: &[(&str, &[&str])] = &[
+        ("bake missing.obj -o out.ply", &["missing.obj"]),
+        ("bake folder.obj -o out.ply", &["folder.obj"]),
+        ("bake zero.obj -o out.ply", &["zero.obj", "4"]),
+        ("bake past.obj -o out.ply", &["past.obj", "4"]),
+        ("bake nan.obj -o out.ply", &["nan.obj", "2"]),
+        ("bake inf.obj -o out.ply", &["inf.obj", "2"]),
+        ("bake empty.obj -o out.ply", &["empty.obj"]),
+        ("bake garbage.obj -o out.ply", &["garbage.obj"]),
+        ("bake garbage.ply -o out.ply", &["garbage.ply"]),
+        ("bake garbage.glb -o out.ply", &["garbage.glb"]),
+        ("bake short.ply -o out.ply", &["short.ply"]),
+        ("bake short.glb -o out.ply", &["short.glb"]),
+        ("render missing.toml -o out.png", &["missing.toml"]),
+        ("render missing.obj -o out.png", &["missing.obj"]),
+        ("render scene.toml -o out.jpg", &["out.jpg"]),
+        ("render scene.toml -o no/out.png", &["no"]),
+        ("render scene.toml -o folder.obj", &["folder.obj"]),
+        ("render scene.toml -o out.png --size 0x10", &["0x10"]),
+        ("render scene.toml -o out.png --size 100000x10", &["100000"]),
+        ("render scene.toml -o out.png --spp 0", &["spp"]),
+        ("render scene.toml -o out.png --shadows magic", &["magic", "bvh"]),
+        ("render scene.toml -o out.png --ao magic", &["magic", "rays"]),
+        ("render scene.toml -o out.exr --shard 3/2", &["3/2"]),
+        ("render scene.toml -o out.exr --shard 1/1000", &["1000", "6 tiles"]),
+        ("render scene.toml -o out.png --shard 1/2", &["out.png", "exr"]),
+        ("bake mesh.obj -o out.ply --rays 0", &["rays"]),
+        ("bake mesh.obj -o out.ply --radius 0", &["radius"]),
+        ("bake mesh.obj -o out.ply --radius -1", &["-1"]),
+        ("bake mesh.obj -o out.ply --radius nan", &["radius"]),
+        ("bake mesh.obj -o out.ply --falloff 0,1", &["falloff"]),
+        ("bake mesh.obj -o out.ply --falloff linear", &["radius"]),
+        ("bake mesh.obj -o out.ply --falloff cubic", &["cubic"]),
+        ("bake mesh.obj -o out.png", &["out.png", ".ply"]),
+        ("bake mesh.obj -o out.ply --per texel", &["out.ply", ".png"]),
+        ("bake mesh.obj -o no/out.ply", &["no"]),
+        ("bake mesh.obj -o out.ply --shard 1/2", &["2 shards"]),
+        ("bake mesh.obj -o out.ply --normals file", &["mesh.obj", "normals"]),
+        ("bake mesh.obj -o out.ply --points mesh.ply", &["mesh.ply"]),
+        ("bake mesh.obj -o out.ply --points mesh.ply --per texel", &["--points"]),
+        ("inspect missing.ply", &["missing.ply"]),
+        ("merge out.exr", &["PART"]),
+        ("frobnicate", &["frobnicate"]),
+    ];
+    for (arguments, words) in mistakes {
+        folder.fails(arguments, words);
+    }
+}
+
+#[test]
+fn mistakes_in_scenes_are_named_with_their_line() {
+    let folder = Folder::new();
+    let with = |from: &str, to: &str| {
+        assert!(SCENE.contains(from));
+        fs::write(folder.path("bad.toml"), SCENE.replace(from, to)).unwrap();
+    };
+    let cases: &[(&str, &str, &[&str])] = &[
+        ("radius = 0.4", "radiuss = 0.4", &["bad.toml:", "radiuss"]),
+        ("\"blob\"", "\"bolb\"", &["bad.toml:16", "bolb"]),
+        ("target = [0, 0.3, 0]", "target = [3, 2, 4]", &["bad.toml:", "camera"]),
+        ("width = 70", "width = 0", &["bad.toml:3", "width"]),
+        ("radius = 1.0", "radius = 0", &["bad.toml:12", "radius"]),
+        ("radius = 1.0", "radius = -2", &["bad.toml:12", "radius"]),
+        ("generator = \"blob\", triangles = 500", "file = \"none.obj\"", &["bad.toml:", "none.obj"]),
+        ("radiance = 30", "radiance = ", &["bad.toml:"]),
+    ];
+    for (from, to, words) in cases {
+        with(from, to);
+        folder.fails("render bad.toml -o out.png", words);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_earlier_file_survives_and_a_read_only_one_is_refused() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new();
+    fs::write(folder.path("out.png"), b"earlier").unwrap();
+    folder.fails("render missing.toml -o out.png", &["missing.toml"]);
+    assert_eq!(folder.bytes("out.png"), b"earlier");
+    fs::set_permissions(folder.path("out.png"), fs::Permissions::from_mode(0o444)).unwrap();
+    folder.fails("render scene.toml -o out.png", &["out.png"]);
+    assert_eq!(folder.bytes("out.png"), b"earlier");
+}
