@@ -15,7 +15,8 @@ fn any_hit(c: &mut Criterion) {
         let mut unit = || random.next_unit();
         let rays: Vec<Ray> = (0..1000)
             .map(|_| {
-                let origin = bounds.min + bounds.size() * [unit(), unit(), unit()].into();
+                let origin =
+                    bounds.min + bounds.size() * umbrage_geom::glam::Vec3::new(unit(), unit(), unit());
                 Ray::new(origin, uniform_sphere([unit(), unit()].into()))
             })
             .collect();

@@ -132,11 +132,8 @@ impl Baked {
         match &self.surface {
             Surface::Vertices(mesh) => {
                 let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
-                Ok(if is_obj {
-                    write_obj(path, mesh, &attributes)?
-                } else {
-                    write_ply(path, mesh, &attributes)?
-                })
+                let write = if is_obj { write_obj } else { write_ply };
+                Ok(write(path, mesh, &attributes)?)
             }
             Surface::Points { positions, normals } => {
                 let attributes = VertexAttributes { normals: Some(normals), ..attributes };

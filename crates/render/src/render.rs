@@ -177,9 +177,10 @@ impl Target {
     }
 
     fn put(&mut self, tile: &Tile, pixels: &[Pixel], scratch: &Scratch) {
-        for layer in 0..self.film.layers().len() {
+        // `cost`, the last, is left out of films without it.
+        for (layer, (_, _, fill)) in LAYERS.iter().enumerate().take(self.film.layers().len()) {
             let mut values = Vec::with_capacity(3 * pixels.len());
-            pixels.iter().for_each(|pixel| LAYERS[layer].2(pixel, &mut values));
+            pixels.iter().for_each(|pixel| fill(pixel, &mut values));
             self.film.put_tile(layer, tile, &values);
         }
         self.rays += scratch.counts;
