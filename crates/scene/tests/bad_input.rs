@@ -221,6 +221,9 @@ fn gltf() {
             with("\"mesh\":0,", "\"mesh\":0,\"children\":[0],"),
             "a.glb: node 0 has more than one parent",
         ),
+        // The library's own validation would panic on these two.
+        ("a.glb", with("{\"POSITION\":0}", "{\"POSITION\":2}"), "a.glb: mesh 0: there is no accessor 2"),
+        ("a.glb", with("\"accessors\"", "\"accessories\""), "a.glb: mesh 0: there is no accessor 0"),
         (
             "a.glb",
             with("\"count\":3,\"type\":\"VEC3\"", "\"count\":4000000000,\"type\":\"VEC3\""),

@@ -19,10 +19,7 @@ const MAX_DEPTH: usize = 256;
 
 /// Reads a document; `folder` is where its external buffers are.
 pub(super) fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<TriangleMesh, Flaw> {
-    let (document, mut blob) = match gltf::Gltf::from_slice(bytes) {
-        Ok(gltf) => (gltf.document, gltf.blob),
-        Err(error) => return Err(Flaw::content(format!("not valid glTF: {error}"))),
-    };
+    let (document, mut blob) = open(bytes)?;
     let buffers = document
         .buffers()
         .map(|buffer| read_buffer(&buffer, folder, &mut blob))
@@ -40,6 +37,20 @@ pub(super) fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<TriangleMesh,
     }
     reader.mesh.validate()?;
     Ok(reader.mesh)
+}
+
+/// Parses and validates. The library's validation looks up the accessor of positions before it knows that it exists.
+fn open(bytes: &[u8]) -> Result<(Document, Option<Vec<u8>>), Flaw> {
+    let invalid = |error: gltf::Error| Flaw::content(format!("not valid glTF: {error}"));
+    let gltf::Gltf { document, blob } = gltf::Gltf::from_slice_without_validation(bytes).map_err(invalid)?;
+    let json = document.into_json();
+    for (m, mesh) in json.meshes.iter().enumerate() {
+        let indices = mesh.primitives.iter().flat_map(|p| p.attributes.values());
+        if let Some(missing) = indices.map(|i| i.value()).find(|&i| i >= json.accessors.len()) {
+            return Err(Flaw::content(format!("mesh {m}: there is no accessor {missing}")));
+        }
+    }
+    Ok((Document::from_json(json).map_err(invalid)?, blob))
 }
 
 fn document_meshes(document: &Document) -> usize {
