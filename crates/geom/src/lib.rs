@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod aabb;
+pub mod crossing;
 pub mod differential;
 pub mod falloff;
 pub mod frame;
@@ -18,6 +19,7 @@ pub mod triangle;
 mod exact;
 
 pub use aabb::{Aabb, SlabRay};
+pub use crossing::{Crossing, crosses_triangle, winding_number};
 pub use differential::RayDifferential;
 pub use falloff::{Falloff, FalloffError};
 pub use frame::Frame;

@@ -50,11 +50,11 @@ pub struct TriangleHit {
 const DET_ERROR: f64 = 1.0 / (1u64 << 47) as f64;
 
 /// The filter's determinants and bounds.
-struct Filter {
+pub(crate) struct Filter {
     /// `U`, `V`, `W`.
-    edges: [f64; 3],
+    pub(crate) edges: [f64; 3],
     /// Bound on the error of each of them.
-    edge_error: f64,
+    pub(crate) edge_error: f64,
     /// `T`.
     volume: f64,
     /// Bound on its error.
@@ -63,7 +63,7 @@ struct Filter {
 
 impl Filter {
     #[inline]
-    fn new(ray: &Ray, corners: [[f32; 3]; 3]) -> Self {
+    pub(crate) fn new(ray: &Ray, corners: [[f32; 3]; 3]) -> Self {
         let origin = ray.origin.as_dvec3();
         let d = ray.direction.as_dvec3();
         let [a, b, c] = corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()) - origin);
@@ -82,7 +82,7 @@ impl Filter {
 
 /// Sign of `x` if it is larger than `error`.
 #[inline]
-fn certain_sign(x: f64, error: f64) -> Option<i32> {
+pub(crate) fn certain_sign(x: f64, error: f64) -> Option<i32> {
     if x > error {
         Some(1)
     } else if x < -error {
@@ -110,7 +110,7 @@ fn add_det(sum: &mut Accumulator, x: [f32; 3], y: [f32; 3], z: [f32; 3], factor:
 }
 
 /// `det(d, p - o, q - o)`, exactly.
-fn exact_edge(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> Accumulator {
+pub(crate) fn exact_edge(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> Accumulator {
     let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
     let mut sum = Accumulator::ZERO;
     add_det(&mut sum, d, p, q, None, false);
@@ -177,18 +177,21 @@ fn line_side_exact(
     i32::from(*positive) - i32::from(*negative)
 }
 
+/// Sign of `T - t D`: of the triangle's plane at the point `o + t d`.
+#[inline]
+pub(crate) fn beyond(ray: &Ray, corners: [[f32; 3]; 3], filter: &Filter, t: f32) -> i32 {
+    let td = f64::from(t) * (filter.edges[0] + filter.edges[1] + filter.edges[2]);
+    // Three more errors of an edge, and two roundings each of sums and product.
+    let error = filter.volume_error
+        + f64::from(t) * 4.0 * filter.edge_error
+        + (filter.volume.abs() + td.abs()) * DET_ERROR;
+    certain_sign(filter.volume - td, error).unwrap_or_else(|| exact_beyond(ray, corners, t))
+}
+
 /// Whether `T / D` lies strictly between the ends of the segment; `side` is the sign of `D`.
 #[inline]
 fn within_segment(ray: &Ray, corners: [[f32; 3]; 3], filter: &Filter, side: i32) -> bool {
-    let d = filter.edges[0] + filter.edges[1] + filter.edges[2];
-    // Sign of T - t D: three more errors of an edge, and two roundings each of sums and product.
-    let beyond = |t: f32| {
-        let td = f64::from(t) * d;
-        let error = filter.volume_error
-            + f64::from(t) * 4.0 * filter.edge_error
-            + (filter.volume.abs() + td.abs()) * DET_ERROR;
-        certain_sign(filter.volume - td, error).unwrap_or_else(|| exact_beyond(ray, corners, t))
-    };
+    let beyond = |t| beyond(ray, corners, filter, t);
     beyond(ray.tnear) == side && (ray.tfar == f32::INFINITY || beyond(ray.tfar) == -side)
 }
 

@@ -313,11 +313,11 @@ fn mistakes_in_scenes_are_named_with_their_line() {
     };
     let cases: &[(&str, &str, &[&str])] = &[
         ("radius = 0.4", "radiuss = 0.4", &["bad.toml:", "radiuss"]),
-        ("\"blob\"", "\"bolb\"", &["bad.toml:16", "bolb"]),
+        ("\"blob\"", "\"bolb\"", &["bad.toml:15", "bolb"]),
         ("target = [0, 0.3, 0]", "target = [3, 2, 4]", &["bad.toml:", "camera"]),
         ("width = 70", "width = 0", &["bad.toml:3", "width"]),
-        ("radius = 1.0", "radius = 0", &["bad.toml:12", "radius"]),
-        ("radius = 1.0", "radius = -2", &["bad.toml:12", "radius"]),
+        ("radius = 1.0", "radius = 0", &["bad.toml:11", "radius"]),
+        ("radius = 1.0", "radius = -2", &["bad.toml:11", "radius"]),
         ("generator = \"blob\", triangles = 500", "file = \"none.obj\"", &["bad.toml:", "none.obj"]),
         ("radiance = 30", "radiance = ", &["bad.toml:"]),
     ];

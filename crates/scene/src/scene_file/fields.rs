@@ -47,7 +47,18 @@ impl<'a> Fields<'a> {
     }
 
     pub(super) fn required(&self, key: &'static str) -> Result<Value<'a>, Flaw> {
-        self.value(key).ok_or_else(|| self.flaw(format!("'{key}' is missing")))
+        self.value(key).ok_or_else(|| {
+            // A misspelt key explains a missing one.
+            let alike = |other: &str| other.contains(key) || key.contains(other) || prefix(other, key) >= 3;
+            match self.others().into_iter().find(|other| alike(&other.key)) {
+                Some(other) => {
+                    let span = self.key_span(&other.key).unwrap_or_else(|| other.span());
+                    let message = format!("{}: unknown key '{}', and '{key}' is missing", self.what, other.key);
+                    Flaw::new(span, message)
+                }
+                None => self.flaw(format!("'{key}' is missing")),
+            }
+        })
     }
 
     /// A problem with the table as a whole.
@@ -107,6 +118,11 @@ impl<'a> Fields<'a> {
             format!("{}: unknown key '{}', expected one of {}", self.what, unknown.key, known.join(", "));
         Err(Flaw::new(span, message))
     }
+}
+
+/// Bytes that both begin with.
+fn prefix(a: &str, b: &str) -> usize {
+    a.bytes().zip(b.bytes()).take_while(|(a, b)| a == b).count()
 }
 
 impl<'a> Value<'a> {
