@@ -81,9 +81,12 @@ fn destination(path: &Path) -> io::Result<Destination> {
     if target.file_name().is_none() {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "it names no file"));
     }
-    let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
+    let folder =
+        target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
     match fs::metadata(&folder) {
-        Ok(known) if !known.is_dir() => Err(io::Error::other(format!("{} is not a folder", folder.display()))),
+        Ok(known) if !known.is_dir() => {
+            Err(io::Error::other(format!("{} is not a folder", folder.display())))
+        }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             Err(io::Error::new(error.kind(), format!("folder {} does not exist", folder.display())))
         }

@@ -10,7 +10,8 @@ impl Scene {
     /// Attributes are kept where every mesh has them; where only some have normals, the others get zeros, which stand for
     /// the triangle's own normal, and likewise white for colours.
     pub fn flatten(&self) -> TriangleMesh {
-        let any = |has: fn(&TriangleMesh) -> bool| self.instances.iter().any(|i| has(&self.meshes[i.mesh].mesh));
+        let any =
+            |has: fn(&TriangleMesh) -> bool| self.instances.iter().any(|i| has(&self.meshes[i.mesh].mesh));
         let keep_normals = any(|m| !m.corner_normals.is_empty());
         let keep_colors = any(|m| !m.vertex_colors.is_empty());
         let mut flat = TriangleMesh::default();

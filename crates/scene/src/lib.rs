@@ -12,8 +12,8 @@ mod view;
 
 pub use atomic::{WriteError, check_writable, write_atomically};
 pub use mesh_file::{
-    MeshFileError, PlyVertices, Points, VertexAttributes, WriteMeshError, read_mesh, read_ply_vertices, read_points,
-    read_polygons, write_obj, write_ply, write_ply_points,
+    MeshFileError, PlyVertices, Points, VertexAttributes, WriteMeshError, read_mesh, read_ply_vertices,
+    read_points, read_polygons, write_obj, write_ply, write_ply_points,
 };
 pub use scene::{Ambient, Camera, Instance, Light, Material, NamedMesh, Radius, Scene, Settings};
 pub use scene_file::SceneError;

@@ -1,10 +1,7 @@
 //! File types, and writing that never leaves half a file.
 
 use super::{Film, ImageError, names, openexr, png};
-use std::{
-    io::Write as _,
-    path::Path,
-};
+use std::{io::Write as _, path::Path};
 
 /// Types of image files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +59,8 @@ pub fn read(path: &Path) -> Result<Film, ImageError> {
 pub fn check_writable(path: &Path) -> Result<Format, ImageError> {
     let format = Format::of(path)?;
     check_folder(path)?;
-    umbrage_scene::check_writable(path).map_err(|e| ImageError::Io { path: path.into(), source: e.source })?;
+    umbrage_scene::check_writable(path)
+        .map_err(|e| ImageError::Io { path: path.into(), source: e.source })?;
     Ok(format)
 }
 

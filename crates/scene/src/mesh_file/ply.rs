@@ -92,7 +92,11 @@ pub(super) fn parse_vertices(bytes: &[u8]) -> Result<PlyVertices, Flaw> {
     }
     Ok(PlyVertices {
         normals: if vertices.has_all(3..6) { vertices.column::<3>(3) } else { Vec::new() },
-        ao: if vertices.has[AO] { vertices.values.iter().map(|v| v[AO] as f32).collect() } else { Vec::new() },
+        ao: if vertices.has[AO] {
+            vertices.values.iter().map(|v| v[AO] as f32).collect()
+        } else {
+            Vec::new()
+        },
         positions,
         triangles: faces.triangles,
         corner_uvs: faces.corner_uvs,

@@ -53,7 +53,8 @@ impl<'a> Fields<'a> {
             match self.others().into_iter().find(|other| alike(&other.key)) {
                 Some(other) => {
                     let span = self.key_span(&other.key).unwrap_or_else(|| other.span());
-                    let message = format!("{}: unknown key '{}', and '{key}' is missing", self.what, other.key);
+                    let message =
+                        format!("{}: unknown key '{}', and '{key}' is missing", self.what, other.key);
                     Flaw::new(span, message)
                 }
                 None => self.flaw(format!("'{key}' is missing")),
