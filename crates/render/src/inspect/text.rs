@@ -3,6 +3,9 @@
 use super::{Bounds, EdgeReport, LightReport, MeshReport, SceneReport};
 use std::fmt;
 
+/// Instances that the text lists.
+const SHOWN: usize = 20;
+
 /// Bytes in units that are easy to read.
 fn memory(bytes: u64) -> String {
     let units = ["KiB", "MiB", "GiB", "TiB"];
@@ -16,7 +19,7 @@ fn memory(bytes: u64) -> String {
 impl fmt::Display for Bounds {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ([a, b, c], [x, y, z]) = (self.min, self.max);
-        write!(f, "({a}, {b}, {c}) to ({x}, {y}, {z}), diagonal {}", self.diagonal)
+        write!(f, "({a}, {b}, {c}) to ({x}, {y}, {z}), diagonal {}", self.diagonal as f32)
     }
 }
 
@@ -108,12 +111,15 @@ impl fmt::Display for SceneReport {
             }
         }
         write!(f, "\ninstances   {}", self.instances.len())?;
-        for instance in &self.instances {
+        for instance in self.instances.iter().take(SHOWN) {
             let mirrored = if instance.mirrored { ", mirrored" } else { "" };
             write!(f, "\n  {}: mesh {}, {} triangles, ", instance.name, instance.mesh, instance.triangles)?;
             write!(f, "{}{mirrored}, materials {}", instance.bounds, instance.materials.join(", "))?;
         }
-        Ok(())
+        match self.instances.len().saturating_sub(SHOWN) {
+            0 => Ok(()),
+            more => write!(f, "\n  and {more} more (all are in the JSON)"),
+        }
     }
 }
 
