@@ -1,8 +1,13 @@
 //! The suites of `cargo xtask bench`: a table for people, one JSON object a line for scripts.
 
 mod anyhit;
+#[cfg(feature = "embree")]
+mod embree;
+mod entry;
+mod peer;
 mod rows;
 mod scenes;
+mod stability;
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
@@ -11,7 +16,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit.
+    /// Suite: anyhit, stability.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -19,6 +24,15 @@ struct Arguments {
     /// Where to write one JSON object a line.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// Ray casters of others to measure against.
+    #[arg(long = "peer", value_enum, value_name = "NAME")]
+    peers: Vec<peer::PeerName>,
+    /// Threads of the rows on several threads; 1 leaves them out.
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    threads: usize,
+    /// Only scenes whose name contains this.
+    #[arg(long, value_name = "TEXT")]
+    only: Option<String>,
 }
 
 fn main() -> Result<()> {
@@ -30,7 +44,14 @@ fn main() -> Result<()> {
     };
     let mut output = rows::Output::new(file);
     match arguments.suite.as_str() {
-        "anyhit" => anyhit::run(arguments.quick, &mut output),
-        other => bail!("unknown suite '{other}', expected anyhit"),
+        "anyhit" => {
+            let Arguments { quick, peers, threads, only, .. } = arguments;
+            anyhit::run(&anyhit::Options { quick, peers, threads, only }, &mut output)
+        }
+        "stability" => {
+            let Arguments { quick, peers, only, .. } = arguments;
+            stability::run(&stability::Options { quick, peers, only }, &mut output)
+        }
+        other => bail!("unknown suite '{other}', expected anyhit or stability"),
     }
 }

@@ -1,5 +1,6 @@
-//! Tasks of the workspace: `cargo xtask ci`, `golden`, `bench`, `pictures`.
+//! Tasks of the workspace: `cargo xtask ci`, `golden`, `bench`, `peers`, `pictures`.
 
+mod peers;
 mod pictures;
 
 use anyhow::{Context, Result, bail};
@@ -39,7 +40,18 @@ enum Task {
         /// Where to write the rows.
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
+        /// Another ray caster to measure against: embree, see `cargo xtask peers`.
+        #[arg(long = "peer", value_name = "NAME")]
+        peers: Vec<String>,
+        /// Threads of the rows on several threads; 1 leaves them out.
+        #[arg(long, value_name = "N")]
+        threads: Option<usize>,
+        /// Only scenes whose name contains this.
+        #[arg(long, value_name = "TEXT")]
+        only: Option<String>,
     },
+    /// Says how to install the libraries that `bench --peer` needs, and whether they are found.
+    Peers,
     /// Renders the pictures of the docs again, into docs/images.
     Pictures {
         /// Only those whose name contains this.
@@ -52,7 +64,20 @@ fn main() -> Result<()> {
     match arguments.task {
         Task::Ci => ci(),
         Task::Golden { bless } => golden(bless),
-        Task::Bench { suite, quick, json } => bench(&suite, quick, json.as_deref()),
+        Task::Bench { suite, quick, json, peers, threads, only } => {
+            let mut rest = Vec::new();
+            if let Some(threads) = threads {
+                rest.extend(["--threads".into(), threads.to_string()]);
+            }
+            if let Some(only) = only {
+                rest.extend(["--only".into(), only]);
+            }
+            bench(&suite, quick, json.as_deref(), &peers, &rest)
+        }
+        Task::Peers => {
+            peers::print();
+            Ok(())
+        }
         Task::Pictures { only } => pictures::run_all(only.as_deref()),
     }
 }
@@ -101,14 +126,19 @@ fn golden(bless: bool) -> Result<()> {
     run(&mut command)
 }
 
-fn bench(suite: &str, quick: bool, json: Option<&Path>) -> Result<()> {
-    let mut command =
-        cargo(&["run", "--release", "--locked", "-p", "umbrage-benches", "--bin", "suite", "--", suite]);
+/// Runs a suite with the features of its `peers`; `rest` is passed on.
+fn bench(suite: &str, quick: bool, json: Option<&Path>, peers: &[String], rest: &[String]) -> Result<()> {
+    let mut command = cargo(&["run", "--release", "--locked", "-p", "umbrage-benches", "--bin", "suite"]);
+    for peer in peers {
+        command.args(["--features", peer]);
+    }
+    command.args(["--", suite]);
     if quick {
         command.arg("--quick");
     }
     if let Some(path) = json {
         command.arg("--json").arg(std::path::absolute(path)?);
     }
+    command.args(peers.iter().flat_map(|peer| ["--peer", peer])).args(rest);
     run(&mut command)
 }

@@ -15,7 +15,7 @@ pub(crate) const LEAF: u32 = 1 << 31;
 
 /// Boxes and references of eight children: 224 bytes, 28 a child.
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
+#[repr(C, align(64))]
 pub(crate) struct Node {
     /// Rows: smallest x, largest x, smallest y, ..; one child a lane. Empty slots have the box `[inf, -inf]`, which no
     /// ray enters.

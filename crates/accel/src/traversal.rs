@@ -150,22 +150,53 @@ fn take_lane(open: &mut u8) -> usize {
     lane
 }
 
+/// The walk of [`Walk`] once more, as a loop with its state in registers: 5 % faster. Prefetching the child after next
+/// changed nothing on the bunny and the dragon.
 #[inline(always)]
 pub(crate) fn any_hit<K: Kernel, S: Statistics>(kernel: K, bvh: &Bvh, ray: &Ray, stats: &mut S) -> bool {
-    let Some(prepared) = Prepared::new(ray) else { return false };
-    let mut walk = Walk::new(kernel, &bvh.tree, &prepared.node, stats);
-    while let Some(leaf) = walk.next(stats) {
-        let BlockMask { certain, uncertain: mut open } = filter(kernel, bvh, leaf, &prepared.block, stats);
-        if certain != 0 {
-            return true;
+    let Some(Prepared { node: node_ray, block }) = Prepared::new(ray) else { return false };
+    let nodes = &bvh.tree.nodes[..];
+    let tfar = node_ray.slab.tfar;
+    let mut stack = [(0u32, 0u32); MAX_LEVELS];
+    let mut depth = 0;
+    let mut node = &nodes[0];
+    let mut index = 0;
+    let mut mask = kernel.mask(node, &node_ray, tfar);
+    stats.node(node.len() as u32);
+    loop {
+        if mask == 0 {
+            if depth == 0 {
+                return false;
+            }
+            depth -= 1;
+            // Only nodes with children left are on the stack.
+            (index, mask) = stack[depth];
+            node = &nodes[index as usize];
         }
-        while open != 0 {
-            if segment_hits_triangle(ray, bvh.blocks[leaf].get(take_lane(&mut open))) {
+        let child = node.children[mask.trailing_zeros() as usize % WIDTH];
+        mask &= mask - 1;
+        if child & LEAF != 0 {
+            let leaf = (child & !LEAF) as usize;
+            let BlockMask { certain, uncertain: mut open } = filter(kernel, bvh, leaf, &block, stats);
+            if certain != 0 {
                 return true;
             }
+            while open != 0 {
+                if segment_hits_triangle(ray, bvh.blocks[leaf].get(take_lane(&mut open))) {
+                    return true;
+                }
+            }
+        } else {
+            if mask != 0 {
+                stack[depth] = (index, mask);
+                depth += 1;
+            }
+            index = child;
+            node = &nodes[index as usize];
+            mask = kernel.mask(node, &node_ray, tfar);
+            stats.node(node.len() as u32);
         }
     }
-    false
 }
 
 #[inline(always)]

@@ -103,28 +103,24 @@ pub struct SlabRay {
 
 impl SlabRay {
     /// Prepares `ray`; `None` if it is not [valid](Ray::is_valid), which is a miss.
-    #[inline]
+    #[inline(always)]
     pub fn new(ray: &Ray) -> Option<Self> {
         Self::with_padding(ray, Vec3::ZERO)
     }
 
     /// Like [`Self::new`], with every box grown by `padding` (world units, at least 0) on each side.
-    #[inline]
+    #[inline(always)]
     pub fn with_padding(ray: &Ray, padding: Vec3) -> Option<Self> {
         if !ray.is_valid() {
             return None;
         }
-        // Two exact steps, since one power of two can't carry a denormal direction up to 2^-40.
         let largest = ray.direction.abs().max_element();
-        let lift = if largest < f32::MIN_POSITIVE { 2f32.powi(64) } else { 1.0 };
-        let exponent = ((largest * lift).to_bits() >> 23) as i32 - 127;
-        let shift = (-40 - exponent).clamp(-126, 126);
-        let step = f32::from_bits(((shift + 127) as u32) << 23);
-        // A direction of 2^127 needs a shift of -167: the rest goes into a second exact step.
-        let rest = f32::from_bits(((-40 - exponent - shift + 127) as u32) << 23);
-        let d = ray.direction * lift * step * rest;
-        // t grows by what the direction shrinks; powers of two, whose reciprocals are exact.
-        let scale = [(lift * step).recip(), rest.recip()];
+        let exponent = (largest.to_bits() >> 23) as i32 - 127;
+        let (d, scale) = if (-86..=86).contains(&exponent) {
+            (ray.direction * power_of_two(-40 - exponent), [power_of_two(40 + exponent), 1.0])
+        } else {
+            scale_extreme(ray.direction, largest)
+        };
         let tnear = (ray.tnear * scale[0] * scale[1]).min(f32::MAX) * (1.0 - 2f32.powi(-21));
         let mut slab = Self {
             origin_near: ray.origin,
@@ -173,6 +169,24 @@ impl SlabRay {
         }
         (t0 <= t1).then_some(t0)
     }
+}
+
+/// `2^exponent`, for exponents of normal numbers.
+#[inline(always)]
+fn power_of_two(exponent: i32) -> f32 {
+    f32::from_bits(((exponent + 127) as u32) << 23)
+}
+
+/// The direction scaled so that its `largest` component is in `[2^-40, 2^-39)`, and what `t` is multiplied by, in two
+/// factors: one power of two can't carry a denormal direction, or one of `2^127`, so far. All steps are exact.
+#[cold]
+fn scale_extreme(direction: Vec3, largest: f32) -> (Vec3, [f32; 2]) {
+    let lift = if largest < f32::MIN_POSITIVE { 64 } else { 0 };
+    let exponent = ((largest * power_of_two(lift)).to_bits() >> 23) as i32 - 127;
+    let shift = (-40 - exponent).clamp(-126, 126);
+    let rest = -40 - exponent - shift;
+    let scaled = direction * power_of_two(lift) * power_of_two(shift) * power_of_two(rest);
+    (scaled, [power_of_two(-lift - shift), power_of_two(-rest)])
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ pub(crate) struct NodeRay {
 }
 
 impl NodeRay {
-    #[inline]
+    #[inline(always)]
     pub(crate) fn new(slab: SlabRay) -> Self {
         let inv_near = slab.inv_near.to_array();
         Self {
@@ -50,7 +50,7 @@ pub(crate) struct Prepared {
 
 impl Prepared {
     /// `None` if the ray is not valid, which is a miss.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn new(ray: &Ray) -> Option<Self> {
         Some(Self { node: NodeRay::new(SlabRay::new(ray)?), block: BlockRay::new(ray)? })
     }

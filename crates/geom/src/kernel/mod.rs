@@ -120,7 +120,7 @@ struct End {
 }
 
 impl End {
-    #[inline]
+    #[inline(always)]
     fn new(t: f32, length: f32) -> Self {
         if t == 0.0 || t == f32::INFINITY {
             return Self { below: t, above: t, rounded: t };
@@ -137,7 +137,7 @@ impl End {
 
 impl BlockRay {
     /// Prepares `ray`; `None` if it is not [valid](Ray::is_valid).
-    #[inline]
+    #[inline(always)]
     pub fn new(ray: &Ray) -> Option<Self> {
         if !ray.is_valid() {
             return None;
