@@ -33,7 +33,7 @@
 use crate::{
     Ray,
     exact::Accumulator,
-    triangle::{Filter, beyond, certain_sign, exact_edge},
+    triangle::{Filter, beyond, certain_sign, exact_edge_sign},
 };
 
 /// How a segment crosses an oriented triangle.
@@ -88,7 +88,7 @@ pub fn crosses_triangle(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<Crossing> {
 /// Sign of `det(d, p - o, q - o)` after the move; 0 if the edge is parallel to the direction.
 #[cold]
 fn moved_edge(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> i32 {
-    let sign = exact_edge(ray, p, q).sign();
+    let sign = exact_edge_sign(ray, p, q);
     if sign != 0 {
         return sign;
     }

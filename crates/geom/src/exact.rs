@@ -101,6 +101,48 @@ impl Accumulator {
     }
 }
 
+/// `p - o` where `f64` holds it exactly.
+pub(crate) fn exact_difference(p: [f32; 3], o: [f32; 3]) -> Option<[f64; 3]> {
+    let mut difference = [0.0; 3];
+    for axis in 0..3 {
+        let (a, b) = (f64::from(p[axis]), f64::from(o[axis]));
+        let x = a - b;
+        // The rounding error of the difference, itself exact (Knuth's two-sum).
+        let b_used = x - a;
+        let error = (a - (x - b_used)) - (b + b_used);
+        if error != 0.0 {
+            return None;
+        }
+        difference[axis] = x;
+    }
+    Some(difference)
+}
+
+/// Sign of `det(x, y, z)` where each vector, scaled by a power of two of its own, is one of integers below `2^40`; `None`
+/// where not. All sums then stay below `2^123`.
+pub(crate) fn small_det_sign(vectors: [[f64; 3]; 3]) -> Option<i32> {
+    let mut fixed = [[0i64; 3]; 3];
+    for (integers, vector) in fixed.iter_mut().zip(vectors) {
+        let largest = vector.iter().fold(0f64, |m, x| m.max(x.abs()));
+        if largest == 0.0 {
+            return Some(0);
+        }
+        // Sums of two f32 are normal f64: the exponent is that of the largest component.
+        let exponent = (largest.to_bits() >> 52) as i64 - 1023;
+        let scale = f64::from_bits(((39 - exponent + 1023) as u64) << 52);
+        for (integer, x) in integers.iter_mut().zip(vector) {
+            let scaled = x * scale;
+            *integer = scaled as i64;
+            if *integer as f64 != scaled {
+                return None;
+            }
+        }
+    }
+    let [x, y, z] = fixed.map(|v| v.map(i128::from));
+    let minor = |i: usize, j: usize| y[i] * z[j] - y[j] * z[i];
+    Some((x[0] * minor(1, 2) + x[1] * minor(2, 0) + x[2] * minor(0, 1)).signum() as i32)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -146,6 +188,46 @@ mod tests {
             let size = if truth < q(0.0) { -truth } else { truth };
             prop_assert!(error <= size * BigRational::from_float(2f64.powi(-52)).unwrap());
         }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4000))]
+        #[test]
+        fn small_determinants_agree_with_rationals(
+            p in prop::array::uniform9(prop_oneof![
+                4 => (-4i16..4).prop_map(f32::from),
+                3 => (0u8..200).prop_map(|i| 1e6 + f32::from(i) * 0.0625),
+                1 => any_finite(),
+                1 => -1f32..1.0,
+            ]),
+            o in prop::array::uniform3(prop_oneof![(-4i16..4).prop_map(f32::from), Just(1e6f32), any_finite()]),
+        ) {
+            let q = |x: f32| BigRational::from_float(x).unwrap();
+            let rows = [[p[0], p[1], p[2]], [p[3], p[4], p[5]], [p[6], p[7], p[8]]];
+            let (Some(y), Some(z)) = (exact_difference(rows[1], o), exact_difference(rows[2], o)) else {
+                return Ok(());
+            };
+            for axis in 0..3 {
+                prop_assert_eq!(BigRational::from_float(y[axis]).unwrap(), q(rows[1][axis]) - q(o[axis]));
+            }
+            if let Some(sign) = small_det_sign([rows[0].map(f64::from), y, z]) {
+                let [x, y, z] = [rows[0].map(f64::from), y, z].map(|v| v.map(|x| BigRational::from_float(x).unwrap()));
+                let det = &x[0] * (&y[1] * &z[2] - &y[2] * &z[1]) + &x[1] * (&y[2] * &z[0] - &y[0] * &z[2])
+                    + &x[2] * (&y[0] * &z[1] - &y[1] * &z[0]);
+                prop_assert_eq!(sign, det.cmp(&q(0.0)) as i32);
+            }
+        }
+    }
+
+    #[test]
+    fn lattices_far_from_the_origin_are_small() {
+        let o = [1e6, 1e6 + 0.0625, -1e6];
+        let p = [1e6 + 0.125, 1e6, -1e6 + 0.0625];
+        let difference = exact_difference(p, o).unwrap();
+        assert_eq!(difference, [0.125, -0.0625, 0.0625]);
+        assert!(small_det_sign([[0.3f32, 0.2, 0.1].map(f64::from), difference, [1.0, 2.0, 3.0]]).is_some());
+        assert_eq!(exact_difference([1e30; 3], [1e-30; 3]), None);
+        assert_eq!(small_det_sign([[1.0, 1e-30, 0.0], [1.0; 3], [2.0; 3]]), None);
     }
 
     fn num_pow(base: &BigRational, exponent: i32) -> BigRational {

@@ -25,7 +25,10 @@
 //! Edge determinants and the order of the tests: Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, JCGT 2(1),
 //! 2013. Filters: Shewchuk 1997, without his expansions: products of `f32` are short integers.
 
-use crate::{Ray, exact::Accumulator};
+use crate::{
+    Ray,
+    exact::{Accumulator, exact_difference, small_det_sign},
+};
 use glam::DVec3;
 
 /// Where a segment meets a triangle.
@@ -109,8 +112,18 @@ fn add_det(sum: &mut Accumulator, x: [f32; 3], y: [f32; 3], z: [f32; 3], factor:
     }
 }
 
+/// Sign of `det(d, p - o, q - o)`, exactly. Coordinates on a common grid, as of meshes far from the origin, where nothing is
+/// certain, take the short way.
+pub(crate) fn exact_edge_sign(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> i32 {
+    let o = ray.origin.to_array();
+    let differences = exact_difference(p, o).zip(exact_difference(q, o));
+    let small =
+        differences.and_then(|(p, q)| small_det_sign([ray.direction.to_array().map(f64::from), p, q]));
+    small.unwrap_or_else(|| exact_edge(ray, p, q).sign())
+}
+
 /// `det(d, p - o, q - o)`, exactly.
-pub(crate) fn exact_edge(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> Accumulator {
+fn exact_edge(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> Accumulator {
     let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
     let mut sum = Accumulator::ZERO;
     add_det(&mut sum, d, p, q, None, false);
@@ -166,7 +179,7 @@ fn line_side_exact(
 ) -> i32 {
     for (sign, (p, q)) in signs.into_iter().zip([(c, b), (a, c), (b, a)]) {
         if sign.is_none() {
-            let sign = exact_edge(ray, p, q).sign();
+            let sign = exact_edge_sign(ray, p, q);
             *positive |= sign > 0;
             *negative |= sign < 0;
             if *positive && *negative {
@@ -198,6 +211,14 @@ fn within_segment(ray: &Ray, corners: [[f32; 3]; 3], filter: &Filter, side: i32)
 /// Sign of `T - t D`, exactly.
 #[cold]
 fn exact_beyond(ray: &Ray, corners: [[f32; 3]; 3], t: f32) -> i32 {
+    if t == 0.0 {
+        let [a, b, c] = corners.map(|p| exact_difference(p, ray.origin.to_array()));
+        if let (Some(a), Some(b), Some(c)) = (a, b, c)
+            && let Some(sign) = small_det_sign([a, b, c])
+        {
+            return -sign;
+        }
+    }
     let mut sum = Accumulator::ZERO;
     add_exact_t(&mut sum, ray, corners);
     add_exact_d(&mut sum, ray, corners, Some(t), true);
