@@ -32,7 +32,7 @@ enum Task {
     },
     /// Runs a benchmark suite, prints a table and writes one JSON object a line.
     Bench {
-        /// Suite: anyhit.
+        /// Suite: anyhit or stability.
         suite: String,
         /// Same rows, smaller sizes, within three minutes once built.
         #[arg(long)]

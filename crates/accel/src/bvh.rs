@@ -4,6 +4,7 @@ use crate::{
     BackEnd, BuildError, BuildOptions, Statistics,
     kernel::{Job, Kernel},
     node::Tree,
+    packet,
     topology::Topology,
     traversal,
 };
@@ -303,8 +304,9 @@ impl<S: Statistics> Job for AnyHits<'_, S> {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        for (ray, hit) in self.rays.iter().zip(self.hits) {
-            *hit = traversal::any_hit(kernel, self.bvh, ray, self.stats);
+        let mut scratch = packet::Scratch::new();
+        for (rays, hits) in self.rays.chunks(packet::PACKET).zip(self.hits.chunks_mut(packet::PACKET)) {
+            packet::any_hits(kernel, self.bvh, rays, hits, &mut scratch, self.stats);
         }
     }
 }

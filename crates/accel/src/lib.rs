@@ -8,6 +8,7 @@ mod instances;
 mod kernel;
 mod node;
 mod options;
+mod packet;
 mod statistics;
 mod topology;
 mod traversal;

@@ -295,6 +295,8 @@ fn every_mistake_is_one_line_that_names_the_culprit() {
         ("bake mesh.obj -o out.ply --normals file", &["mesh.obj", "normals"]),
         ("bake mesh.obj -o out.ply --points mesh.ply", &["mesh.ply"]),
         ("bake mesh.obj -o out.ply --points mesh.ply --per texel", &["--points"]),
+        ("bake mesh.obj -o out.ply --stats no/stats.json", &["no/stats.json"]),
+        ("render scene.toml -o out.png --stats no/stats.json", &["no/stats.json"]),
         ("inspect missing.ply", &["missing.ply"]),
         ("merge out.exr", &["PART"]),
         ("frobnicate", &["frobnicate"]),

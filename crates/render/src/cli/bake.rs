@@ -194,7 +194,9 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
         arguments.points.is_none() || arguments.per == Per::Vertex,
         "--points and --per texel exclude each other"
     );
-    umbrage_scene::check_writable(&arguments.output)?;
+    for path in std::iter::once(&arguments.output).chain(&arguments.stats) {
+        umbrage_scene::check_writable(path)?;
+    }
     if arguments.shard.is_some() {
         check_part_extension(&arguments.output)?;
     }

@@ -96,6 +96,9 @@ fn check_outputs(arguments: &RenderArguments, output: &Path) -> Result<()> {
         Some(_) => image::check_part_writable(output)?,
         None => drop(image::check_writable(output)?),
     }
+    if let Some(path) = &arguments.stats {
+        umbrage_scene::check_writable(path)?;
+    }
     if let Some(path) = &arguments.heatmap {
         let format = image::check_writable(path)?;
         anyhow::ensure!(format == image::Format::Png, "{}: a heat map is written as .png", path.display());

@@ -26,7 +26,7 @@ pub mod names {
     pub const AO: &str = "ao";
     /// Unit normal in world space.
     pub const NORMAL: &str = "normal";
-    /// Distance from the camera, world units; infinite where nothing is hit.
+    /// Distance from the camera, world units; 1e10 where nothing is hit.
     pub const DEPTH: &str = "depth";
     /// Work done for the pixel.
     pub const COST: &str = "cost";
