@@ -5,7 +5,8 @@
 //! A node's boxes are tested against one ray after the other, and the results turned into one mask of rays for each child.
 //! Nothing waits for anything within a node, where a single ray waits for each node before it knows the next. Rays that
 //! share an origin, or start close together, share most of their nodes; packets of unrelated rays cost little more than
-//! single ones.
+//! single ones. Moving a node to the origin that a packet shares, once for all rays, was 20 % slower on AVX2: its rows go
+//! through memory.
 
 use crate::{
     Bvh, Statistics,

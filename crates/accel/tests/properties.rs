@@ -112,9 +112,18 @@ fn agrees(bvh: &Bvh, (positions, triangles): &Soup, rays: &[Ray]) -> Result<(), 
                 prop_assert_eq!(sum, brute::transmittance(positions, triangles, ray, depth));
             }
         }
-        let mut hits = vec![false; rays.len()];
-        bvh.any_hits(rays, &mut hits);
-        prop_assert!(rays.iter().zip(hits).all(|(ray, hit)| bvh.any_hit(ray) == hit));
+        // Packets: as given, from one origin, and more of them than fit into one, invalid ones between.
+        let origin = rays.first().map_or(Vec3::ZERO, |ray| ray.origin);
+        let fan: Vec<Ray> = rays.iter().map(|ray| Ray { origin, ..*ray }).collect();
+        let invalid = Ray { tfar: f32::NAN, ..Ray::new(origin, Vec3::X) };
+        let many: Vec<Ray> = rays.iter().chain(&fan).chain([&invalid]).cycle().take(41).copied().collect();
+        for batch in [rays, &fan, &many] {
+            let mut hits = vec![true; batch.len()];
+            bvh.any_hits(batch, &mut hits);
+            for (ray, hit) in batch.iter().zip(hits) {
+                prop_assert_eq!(brute::any_hit(positions, triangles, ray), hit, "{:?} {:?}", back_end, ray);
+            }
+        }
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Axis-aligned boxes and a ray-slab test that cannot miss.
 
 use crate::Ray;
-use glam::Vec3;
+use glam::{Vec3, Vec3A};
 
 /// An axis-aligned box, faces included. Empty when `min > max` on some axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -122,29 +122,31 @@ impl SlabRay {
             scale_extreme(ray.direction, largest)
         };
         let tnear = (ray.tnear * scale[0] * scale[1]).min(f32::MAX) * (1.0 - 2f32.powi(-21));
+        let d = Vec3A::from(d);
+        let magnitude = d.abs();
+        let inverse = magnitude.recip();
+        let near = inverse.min(Vec3A::splat(2f32.powi(119))) * (1.0 - 2f32.powi(-21));
+        let tiny = magnitude.cmplt(Vec3A::splat(2f32.powi(-120)));
+        let far = Vec3A::select(tiny, Vec3A::INFINITY, inverse * (1.0 + 2f32.powi(-21)));
+        let origin = Vec3A::from(ray.origin);
+        let (mut origin_near, mut origin_far) = (origin, origin);
+        if padding != Vec3::ZERO {
+            // Rounded outwards by one more unit in the last place of the larger term.
+            let pad = Vec3A::from(padding) + origin.abs() * f32::EPSILON;
+            let pad = Vec3A::select(Vec3A::from(padding).cmpgt(Vec3A::ZERO), pad, Vec3A::ZERO).copysign(d);
+            origin_near += pad;
+            origin_far -= pad;
+        }
         let mut slab = Self {
-            origin_near: ray.origin,
-            origin_far: ray.origin,
-            inv_near: Vec3::ZERO,
-            inv_far: Vec3::ZERO,
+            origin_near: origin_near.into(),
+            origin_far: origin_far.into(),
+            inv_near: near.copysign(d).into(),
+            inv_far: far.copysign(d).into(),
             tnear: if tnear < f32::MIN_POSITIVE { 0.0 } else { tnear },
             tfar: 0.0,
             scale,
         };
         slab.tfar = slab.scaled_tfar(ray.tfar);
-        for axis in 0..3 {
-            let (magnitude, sign) = (d[axis].abs(), 1f32.copysign(d[axis]));
-            let tiny = magnitude < 2f32.powi(-120);
-            let near = if tiny { 2f32.powi(119) } else { magnitude.recip() };
-            let far = if tiny { f32::INFINITY } else { magnitude.recip() };
-            slab.inv_near[axis] = sign * near * (1.0 - 2f32.powi(-21));
-            slab.inv_far[axis] = sign * far * (1.0 + 2f32.powi(-21));
-            // Rounded outwards by one more unit in the last place of the larger term.
-            let pad =
-                if padding[axis] > 0.0 { padding[axis] + ray.origin[axis].abs() * f32::EPSILON } else { 0.0 };
-            slab.origin_near[axis] += sign * pad;
-            slab.origin_far[axis] -= sign * pad;
-        }
         Some(slab)
     }
 

@@ -20,24 +20,13 @@ pub(crate) struct NodeRay {
     pub(crate) slab: SlabRay,
     /// Row of [`Node::bounds`] that holds the near plane of each axis, even or odd; the far plane is its neighbour.
     near_row: [usize; 3],
-    origin_near: [f32; 3],
-    origin_far: [f32; 3],
-    inv_near: [f32; 3],
-    inv_far: [f32; 3],
 }
 
 impl NodeRay {
     #[inline(always)]
     pub(crate) fn new(slab: SlabRay) -> Self {
         let inv_near = slab.inv_near.to_array();
-        Self {
-            slab,
-            near_row: [0, 1, 2].map(|axis| 2 * axis + usize::from(inv_near[axis] < 0.0)),
-            origin_near: slab.origin_near.to_array(),
-            origin_far: slab.origin_far.to_array(),
-            inv_near,
-            inv_far: slab.inv_far.to_array(),
-        }
+        Self { slab, near_row: [0, 1, 2].map(|axis| 2 * axis + usize::from(inv_near[axis] < 0.0)) }
     }
 }
 

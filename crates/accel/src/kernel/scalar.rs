@@ -22,8 +22,8 @@ impl Kernel for Scalar {
             let (near, far) = (&node.bounds[ray.near_row[axis]], &node.bounds[ray.near_row[axis] ^ 1]);
             for i in 0..WIDTH {
                 // The comparisons are false for NaN, which drops it.
-                let entry = (near[i] - ray.origin_near[axis]) * ray.inv_near[axis];
-                let exit = (far[i] - ray.origin_far[axis]) * ray.inv_far[axis];
+                let entry = (near[i] - ray.slab.origin_near[axis]) * ray.slab.inv_near[axis];
+                let exit = (far[i] - ray.slab.origin_far[axis]) * ray.slab.inv_far[axis];
                 entries[i] = if entry > entries[i] { entry } else { entries[i] };
                 exits[i] = if exit < exits[i] { exit } else { exits[i] };
             }

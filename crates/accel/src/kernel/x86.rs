@@ -34,11 +34,11 @@ unsafe fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
                 _mm256_load_ps(node.bounds.get_unchecked(row ^ 1).as_ptr()),
             )
         };
-        let near = _mm256_sub_ps(near, _mm256_set1_ps(ray.origin_near[axis]));
-        let far = _mm256_sub_ps(far, _mm256_set1_ps(ray.origin_far[axis]));
+        let near = _mm256_sub_ps(near, _mm256_set1_ps(ray.slab.origin_near[axis]));
+        let far = _mm256_sub_ps(far, _mm256_set1_ps(ray.slab.origin_far[axis]));
         // `max` and `min` return the second operand for NaN, which drops it.
-        entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(ray.inv_near[axis])), entry);
-        exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(ray.inv_far[axis])), exit);
+        entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(ray.slab.inv_near[axis])), entry);
+        exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(ray.slab.inv_far[axis])), exit);
     }
     (entry, exit)
 }

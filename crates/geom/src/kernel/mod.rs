@@ -36,6 +36,8 @@ use crate::Ray;
 /// Triangles in a block.
 pub const LANES: usize = 8;
 
+/// `u`.
+const UNIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// `32 u`.
 const EDGE_ERROR: f32 = 32.0 / (1u32 << 24) as f32;
 /// `4 u`.
@@ -126,10 +128,11 @@ impl End {
             return Self { below: t, above: t, rounded: t };
         }
         let rounded = t * length;
-        let usable = rounded > f32::MIN_POSITIVE && rounded < LARGEST * 2.0;
+        let large = rounded >= LARGEST * 2.0;
+        let usable = rounded > f32::MIN_POSITIVE && !large;
         Self {
-            below: rounded.next_down().max(0.0),
-            above: rounded.next_up(),
+            below: if usable { rounded * (1.0 - 4.0 * UNIT) } else { 0.0 },
+            above: if large { f32::INFINITY } else { rounded * (1.0 + 4.0 * UNIT) + f32::MIN_POSITIVE },
             rounded: if usable { rounded } else { f32::NAN },
         }
     }
@@ -142,17 +145,12 @@ impl BlockRay {
         if !ray.is_valid() {
             return None;
         }
+        // Without branches, which random directions would mispredict.
         let size = ray.direction.abs();
-        let z = if size.x > size.y {
-            if size.x > size.z { 0 } else { 2 }
-        } else if size.y > size.z {
-            1
-        } else {
-            2
-        };
+        let (z, larger) = if size.x > size.y { (0, size.x) } else { (1, size.y) };
+        let (z, length) = if larger > size.z { (z, larger) } else { (2, size.z) };
         let axes = [[1, 2, 0], [2, 0, 1], [0, 1, 2]][z];
         let (origin, direction) = (ray.origin.to_array(), ray.direction.to_array());
-        let length = size[z];
         Some(Self {
             axes,
             origin: axes.map(|axis| origin[axis]),
