@@ -88,6 +88,15 @@ enum Method {
     Rays,
 }
 
+impl Method {
+    /// What is used: exact rays serve every mesh.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Auto | Self::Rays => "rays",
+        }
+    }
+}
+
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Per {
     /// Every vertex of the mesh.
@@ -209,10 +218,6 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
 }
 
 fn read(arguments: &BakeArguments) -> Result<Input> {
-    // Methods are to come; both names mean exact rays.
-    match arguments.method {
-        Method::Auto | Method::Rays => {}
-    }
     let mesh = if is_mesh(&arguments.mesh) {
         read_mesh(&arguments.mesh)?
     } else {
@@ -297,7 +302,7 @@ fn bake_and_write(
         let stats = json!({
             "umbrage": env!("CARGO_PKG_VERSION"),
             "mesh": source(),
-            "method": "rays",
+            "method": arguments.method.name(),
             "shard": arguments.shard.map(|s| s.to_string()),
             "triangles": meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
             "receivers": baked_here,
