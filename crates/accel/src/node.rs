@@ -13,7 +13,7 @@ pub(crate) const MAX_LEVELS: usize = 40;
 /// Marks a child that is a leaf; the other bits are the index of a leaf or node.
 pub(crate) const LEAF: u32 = 1 << 31;
 
-/// Boxes and references of eight children: 224 bytes, 28 a child.
+/// Boxes and references of eight children: 224 bytes, 256 with padding to whole cache lines.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Node {
