@@ -27,6 +27,7 @@
 //! `(Z + |z|) (3 E + 6 u |D'|)`. The filter uses `8 u` and adds `2^-100`. Ends so small that their product with `|d.z|`
 //! underflows, or so large that it might overflow, are left open (NaN).
 
+pub mod fan;
 pub mod scalar;
 #[cfg(target_arch = "x86_64")]
 pub mod x86;
