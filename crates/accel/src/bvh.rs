@@ -1,7 +1,7 @@
 //! The hierarchy over the triangles of one mesh.
 
 use crate::{
-    BackEnd, BuildError, BuildOptions, Statistics,
+    BackEnd, BuildError, BuildOptions, Statistics, fan,
     kernel::{Job, Kernel},
     node::Tree,
     packet,
@@ -304,9 +304,24 @@ impl<S: Statistics> Job for AnyHits<'_, S> {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let mut scratch = packet::Scratch::new();
-        for (rays, hits) in self.rays.chunks(packet::PACKET).zip(self.hits.chunks_mut(packet::PACKET)) {
-            packet::any_hits(kernel, self.bvh, rays, hits, &mut scratch, self.stats);
+        let (mut fans, mut packets) = (fan::Scratch::new(), packet::Scratch::new());
+        let Self { bvh, rays, hits, stats } = self;
+        for part in fan::Parts::new(rays) {
+            match part {
+                fan::Part::Fan(range) => {
+                    fan::any_hits(kernel, bvh, &rays[range.clone()], &mut hits[range], &mut fans, stats);
+                }
+                fan::Part::Packet(range) => {
+                    packet::any_hits(
+                        kernel,
+                        bvh,
+                        &rays[range.clone()],
+                        &mut hits[range],
+                        &mut packets,
+                        stats,
+                    );
+                }
+            }
         }
     }
 }

@@ -4,6 +4,7 @@ pub mod brute;
 
 mod bvh;
 mod error;
+mod fan;
 mod instances;
 mod kernel;
 mod node;

@@ -11,8 +11,11 @@ pub(crate) use umbrage_geom::kernel::x86::Avx2;
 use crate::node::{Node, WIDTH};
 use umbrage_geom::{
     Ray, SlabRay,
-    kernel::{BlockMask, BlockRay, TriangleBlock},
+    kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
 };
+
+/// Most rays that walk together.
+pub(crate) const FAN: usize = 32;
 
 /// A valid ray prepared for boxes of nodes.
 #[derive(Clone, Copy, Debug)]
@@ -55,6 +58,24 @@ pub(crate) trait Kernel: Copy {
 
     /// See [`umbrage_geom::kernel`].
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask;
+
+    /// [`Self::mask`] for ray `r` of a fan from `origin`.
+    fn fan_mask<const N: usize>(self, node: &Node, origin: [f32; 3], rays: &FanRays<N>, r: usize) -> u32;
+
+    /// Bit `i` is set when child `i` reaches into the box `[low, high]`, which is relative to `origin`.
+    fn overlap(self, node: &Node, origin: [f32; 3], low: [f32; 3], high: [f32; 3]) -> u32;
+
+    /// A leaf seen from the origin of a fan.
+    type Planes: Copy;
+
+    /// See [`umbrage_geom::kernel::fan`].
+    fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Self::Planes;
+
+    /// See [`umbrage_geom::kernel::fan`].
+    fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask;
+
+    /// Bit `i` of column `c` is bit `c` of byte `i`.
+    fn columns(self, rows: [u64; FAN / 8]) -> [u32; WIDTH];
 }
 
 /// Work that runs on any kernel.
@@ -72,12 +93,15 @@ pub enum BackEnd {
     Scalar,
     /// AVX2 and FMA, eight at a time.
     Avx2,
+    /// The same with 32 registers and mask registers.
+    Avx512,
 }
 
 impl BackEnd {
     /// The fastest one that this processor has.
     pub fn best() -> Self {
-        if Self::Avx2.is_supported() { Self::Avx2 } else { Self::Scalar }
+        let fastest_first = [Self::Avx512, Self::Avx2];
+        fastest_first.into_iter().find(|back_end| back_end.is_supported()).unwrap_or(Self::Scalar)
     }
 
     /// Whether this processor has it.
@@ -86,8 +110,10 @@ impl BackEnd {
             Self::Scalar => true,
             #[cfg(target_arch = "x86_64")]
             Self::Avx2 => Avx2::detect().is_some(),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => x86::Avx512::detect().is_some(),
             #[cfg(not(target_arch = "x86_64"))]
-            Self::Avx2 => false,
+            Self::Avx2 | Self::Avx512 => false,
         }
     }
 
@@ -98,6 +124,11 @@ impl BackEnd {
             #[cfg(target_arch = "x86_64")]
             Self::Avx2 => match Avx2::detect() {
                 Some(avx2) => x86::run(avx2, job),
+                None => job.run(Scalar),
+            },
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => match x86::Avx512::detect() {
+                Some(avx512) => avx512.run(job),
                 None => job.run(Scalar),
             },
             _ => job.run(Scalar),
