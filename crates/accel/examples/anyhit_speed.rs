@@ -105,9 +105,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let rays = ambient(&mesh, 10_000, 32, part * diagonal);
             let mut hits = vec![false; rays.len()];
             let mut expected = None;
-            for back_end in
-                [BackEnd::Avx2, BackEnd::Avx512].into_iter().filter(|b| b.is_supported())
-            {
+            for back_end in [BackEnd::Avx2, BackEnd::Avx512].into_iter().filter(|b| b.is_supported()) {
                 let bvh = bvh.clone().with_back_end(back_end)?;
                 let best = seconds(&bvh, &rays, &mut hits);
                 let mut counters = Counters::default();

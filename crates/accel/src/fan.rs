@@ -5,33 +5,20 @@
 
 use crate::{
     Bvh, Statistics,
-    kernel::{FAN, Kernel},
-    node::{LEAF, MAX_LEVELS, Node, WIDTH},
+    kernel::{FAN, Kernel, Rows, Stack},
+    node::{LEAF, Node, WIDTH},
     packet::PACKET,
     traversal,
 };
 use std::ops::Range;
 use umbrage_geom::{
-    Ray,
+    OpticalDepth, Ray,
     kernel::{
         BlockMask, LANES,
         fan::{CHUNK, FanRays},
     },
     segment_hits_triangle,
 };
-
-/// What fans need, kept from one to the next.
-pub(crate) struct Scratch {
-    rays: FanRays<FAN>,
-    /// Children to visit with the rays that enter them.
-    stack: [(u32, u32); (WIDTH - 1) * MAX_LEVELS + 1],
-}
-
-impl Scratch {
-    pub(crate) fn new() -> Self {
-        Self { rays: FanRays::default(), stack: [(0, 0); (WIDTH - 1) * MAX_LEVELS + 1] }
-    }
-}
 
 /// Fewest rays that are worth a fan.
 const SMALLEST: usize = 4;
@@ -51,7 +38,7 @@ pub(crate) enum Part {
 pub(crate) struct Parts<'a> {
     rays: &'a [Ray],
     at: usize,
-    /// The fan that ended the last packet.
+    /// Rays of the fan that ended the last packet.
     fan: usize,
 }
 
@@ -159,137 +146,240 @@ impl Envelope {
 
     /// Children that some ray may enter.
     #[inline(always)]
-    fn mask<K: Kernel>(&self, kernel: K, node: &Node, origin: [f32; 3]) -> u32 {
-        let reached = self.extent.map_or(0xff, |[low, high]| kernel.overlap(node, origin, low, high));
-        if self.axes == 0 { reached } else { reached & kernel.fan_mask(node, origin, &self.ray, 0) }
+    fn mask<K: Kernel>(&self, kernel: K, rows: &Rows) -> u32 {
+        let reached = self.extent.map_or(0xff, |[low, high]| kernel.overlap(rows, low, high));
+        if self.axes == 0 { reached } else { reached & kernel.fan_mask(rows, &self.ray, 0) }
     }
 }
 
-/// Answers up to [`FAN`] rays of one origin.
-#[inline(always)]
-pub(crate) fn any_hits<K: Kernel, S: Statistics>(
-    kernel: K,
-    bvh: &Bvh,
-    rays: &[Ray],
-    hits: &mut [bool],
-    scratch: &mut Scratch,
-    stats: &mut S,
-) {
-    let Scratch { rays: fan, stack } = scratch;
-    let origin = rays[0].origin.to_array();
-    let mut alive = 0u32;
-    if rays[0].origin.is_finite() {
-        for (i, chunk) in rays.chunks(CHUNK).enumerate() {
-            alive |= fan.prepare(i * CHUNK, chunk) << (i * CHUNK);
-        }
+/// What is asked about each ray.
+pub(crate) trait Goal {
+    /// Takes the triangles of a leaf that ray `index` hits for certain, and those that the exact predicate has to decide.
+    /// Whether the ray needs no more.
+    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool;
+
+    /// Answers a ray that no fan takes.
+    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S);
+}
+
+/// One fan on its way.
+struct Walk {
+    fan: FanRays<FAN>,
+    stack: Stack,
+    top: usize,
+    /// Rays that still look.
+    alive: u32,
+    origin: [f32; 3],
+    envelope: Envelope,
+    /// Whether the envelope may exclude anything.
+    narrow: bool,
+    /// Index of the first ray.
+    first: usize,
+}
+
+impl Walk {
+    fn new() -> Self {
+        let fan = FanRays::default();
+        let envelope = Envelope::new(&fan, 0, 0);
+        let (stack, origin) = (Stack::new(), [0.0; 3]);
+        Self { fan, stack, top: 0, alive: 0, origin, envelope, narrow: false, first: 0 }
     }
-    let fit = alive;
-    let envelope = Envelope::new(fan, fit, rays.len());
-    let narrow = envelope.extent.is_some() || envelope.axes > 1;
-    let mut top = 1;
-    stack[0] = (0, alive);
-    while top > 0 {
-        top -= 1;
-        let (child, mask) = stack[top];
-        let mask = mask & alive;
-        if mask == 0 {
-            continue;
-        }
-        if child & LEAF != 0 {
-            let leaf = (child & !LEAF) as usize;
-            alive &= !leaf_hits(kernel, bvh, leaf, mask, origin, fan, rays, stats);
-            continue;
-        }
-        let node = &bvh.tree.nodes[child as usize];
-        let mut candidates = 0xff;
-        if narrow && mask.count_ones() >= WIDE {
-            candidates = envelope.mask(kernel, node, origin);
-            if candidates & candidates.wrapping_sub(1) == 0 {
-                if candidates != 0 {
-                    let slot = candidates.trailing_zeros() as usize % WIDTH;
-                    if node.children[slot] != u32::MAX {
-                        stack[top] = (node.children[slot], mask);
-                        top += 1;
-                    }
-                }
-                continue;
+
+    /// Takes up `rays` of one origin; returns those that it can answer.
+    #[inline(always)]
+    fn start(&mut self, first: usize, rays: &[Ray]) -> u32 {
+        let mut fit = 0;
+        if rays[0].origin.is_finite() {
+            for (i, chunk) in rays.chunks(CHUNK).enumerate() {
+                fit |= self.fan.prepare(i * CHUNK, chunk) << (i * CHUNK);
             }
         }
-        let (rows, mut entered) = fan_rows(kernel, node, mask, origin, fan, stats);
-        entered &= candidates;
-        let columns = kernel.columns(rows);
-        // Small boxes first on to the stack, so that large ones are visited first.
-        while entered != 0 {
-            let slot = (31 - entered.leading_zeros()) as usize % WIDTH;
-            entered &= !(1 << slot);
-            stack[top] = (node.children[slot], columns[slot]);
-            top += 1;
-        }
+        self.origin = rays[0].origin.to_array();
+        self.first = first;
+        self.envelope = Envelope::new(&self.fan, fit, rays.len());
+        self.narrow = self.envelope.extent.is_some() || self.envelope.axes > 1;
+        self.alive = fit;
+        self.top = usize::from(fit != 0);
+        (self.stack.children[0], self.stack.rays[0]) = (0, fit);
+        fit
     }
-    let dead = fit & !alive;
-    for (r, (ray, hit)) in rays.iter().zip(hits).enumerate() {
-        *hit =
-            if fit >> r & 1 == 1 { dead >> r & 1 == 1 } else { traversal::any_hit(kernel, bvh, ray, stats) };
-    }
-}
 
-/// Which children each ray enters: bytes are rays, bits children; and the children that any ray enters.
-#[inline(always)]
-fn fan_rows<K: Kernel, S: Statistics>(
-    kernel: K,
-    node: &Node,
-    mask: u32,
-    origin: [f32; 3],
-    fan: &FanRays<FAN>,
-    stats: &mut S,
-) -> ([u64; FAN / 8], u32) {
-    let (mut rows, mut entered) = ([0u64; FAN / 8], 0);
-    for (group, row) in rows.iter_mut().enumerate() {
-        let mut rest = mask >> (8 * group) & 0xff;
-        let mut bytes = 0;
+    /// Visits one node or leaf; false if there was none left.
+    #[inline(always)]
+    fn step<K: Kernel, S: Statistics>(
+        &mut self,
+        kernel: K,
+        bvh: &Bvh,
+        goal: &mut impl Goal,
+        stats: &mut S,
+    ) -> bool {
+        let (child, mask) = loop {
+            if self.top == 0 {
+                return false;
+            }
+            self.top -= 1;
+            let mask = self.stack.rays[self.top] & self.alive;
+            if mask != 0 {
+                break (self.stack.children[self.top], mask);
+            }
+        };
+        if child & LEAF != 0 {
+            self.leaf(kernel, bvh, (child & !LEAF) as usize, mask, goal, stats);
+            return true;
+        }
+        let node = &bvh.tree.nodes[child as usize];
+        let rows = kernel.rows(node, self.origin);
+        let mut wanted = node.used;
+        let bottom = self.top;
+        if self.narrow && mask.count_ones() >= WIDE {
+            wanted &= self.envelope.mask(kernel, &rows);
+        }
+        if wanted & wanted.wrapping_sub(1) == 0 {
+            let slot = wanted.trailing_zeros() as usize % WIDTH;
+            (self.stack.children[bottom], self.stack.rays[bottom]) = (node.children[slot], mask);
+            self.top += usize::from(wanted != 0);
+        } else {
+            stats.node(node.len() as u32);
+            self.top =
+                kernel.fan_push(&node.children, &rows, &self.fan, mask, wanted, &mut self.stack, bottom);
+        }
+        // Without a loop over what was pushed, whose length nothing predicts.
+        for &child in &self.stack.children[self.top.saturating_sub(3)..self.top] {
+            let (leaf, index) = (child & LEAF != 0, (child & !LEAF) as usize);
+            let node = bvh.tree.nodes.as_ptr().wrapping_add(index).cast::<u8>();
+            let block = bvh.blocks.as_ptr().wrapping_add(index).cast::<u8>();
+            kernel.prefetch(if leaf { block } else { node }, size_of::<Node>());
+        }
+        true
+    }
+
+    /// Tests the rays in `rest` against a leaf.
+    #[inline(always)]
+    fn leaf<K: Kernel, S: Statistics>(
+        &mut self,
+        kernel: K,
+        bvh: &Bvh,
+        leaf: usize,
+        mut rest: u32,
+        goal: &mut impl Goal,
+        stats: &mut S,
+    ) {
+        let block = &bvh.blocks[leaf];
+        let planes = kernel.planes(block, self.origin);
         while rest != 0 {
             let r = rest.trailing_zeros() as usize;
             rest &= rest - 1;
-            let children = kernel.fan_mask(node, origin, fan, 8 * group + r);
-            stats.node(node.len() as u32);
-            entered |= children;
-            bytes |= u64::from(children) << (8 * r);
+            let mask = kernel.fan_filter(&planes, &self.fan, r);
+            stats.triangles(block.len() as u32);
+            stats.uncertain(mask.uncertain.count_ones());
+            if mask.certain | mask.uncertain != 0 && goal.leaf(bvh, leaf, self.first + r, mask) {
+                self.alive &= !(1 << r);
+            }
         }
-        *row = bytes;
     }
-    (rows, entered)
 }
 
-/// Which of the rays in `rest` hit a triangle of the leaf.
+/// Fans that take turns, so that one works while others wait for memory.
+const TURNS: usize = 8;
+
+/// Answers rays by fans where they share an origin; the others are left to `packet`, [`PACKET`] at most at a time.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)] // the state of one loop
-fn leaf_hits<K: Kernel, S: Statistics>(
+pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
     kernel: K,
     bvh: &Bvh,
-    leaf: usize,
-    mut rest: u32,
-    origin: [f32; 3],
-    fan: &FanRays<FAN>,
     rays: &[Ray],
+    goal: &mut G,
+    mut packet: impl FnMut(&mut G, Range<usize>, &mut S),
     stats: &mut S,
-) -> u32 {
-    let block = &bvh.blocks[leaf];
-    let planes = kernel.planes(block, origin);
-    let mut hits = 0;
-    while rest != 0 {
-        let r = rest.trailing_zeros() as usize;
-        rest &= rest - 1;
-        let mask: BlockMask = kernel.fan_filter(&planes, fan, r);
-        stats.triangles(bvh.leaf_len(leaf) as u32);
-        stats.uncertain(mask.uncertain.count_ones());
+) {
+    let mut walks: [Walk; TURNS] = std::array::from_fn(|_| Walk::new());
+    let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
+
+    let mut busy = 0;
+    let mut parts = Parts::new(rays);
+    loop {
+        while busy < TURNS {
+            match parts.next() {
+                Some(Part::Fan(range)) => {
+                    let fit = walks[turns[busy]].start(range.start, &rays[range.clone()]);
+                    for index in range.clone().filter(|index| fit >> (index - range.start) & 1 == 0) {
+                        goal.alone(kernel, bvh, index, stats);
+                    }
+                    busy += 1;
+                }
+                Some(Part::Packet(range)) => packet(goal, range, stats),
+                None => break,
+            }
+        }
+        if busy == 0 {
+            return;
+        }
+        let mut turn = 0;
+        while turn < busy {
+            if walks[turns[turn]].step(kernel, bvh, goal, stats) {
+                turn += 1;
+            } else {
+                busy -= 1;
+                turns.swap(turn, busy);
+            }
+        }
+    }
+}
+
+/// Whether any triangle is hit.
+pub(crate) struct AnyHit<'a> {
+    pub(crate) rays: &'a [Ray],
+    pub(crate) hits: &'a mut [bool],
+}
+
+impl Goal for AnyHit<'_> {
+    #[inline(always)]
+    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool {
         let mut hit = mask.certain != 0;
         let mut open = mask.uncertain;
         while open != 0 && !hit {
             let lane = open.trailing_zeros() as usize % LANES;
             open &= open - 1;
-            hit = segment_hits_triangle(&rays[r], block.get(lane));
+            hit = segment_hits_triangle(&self.rays[index], bvh.blocks[leaf].get(lane));
         }
-        hits |= u32::from(hit) << r;
+        self.hits[index] = hit;
+        hit
     }
-    hits
+
+    #[inline(always)]
+    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S) {
+        self.hits[index] = traversal::any_hit(kernel, bvh, &self.rays[index], stats);
+    }
+}
+
+/// The sum of what all triangles hit let through.
+pub(crate) struct Transmittance<'a, F> {
+    pub(crate) rays: &'a [Ray],
+    /// Clear at the start.
+    pub(crate) sums: &'a mut [OpticalDepth],
+    pub(crate) depth_of: &'a F,
+}
+
+impl<F: Fn(u32) -> OpticalDepth> Goal for Transmittance<'_, F> {
+    #[inline(always)]
+    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool {
+        let mut open = mask.certain | mask.uncertain;
+        let mut sum = self.sums[index];
+        while open != 0 {
+            let lane = open.trailing_zeros() as usize % LANES;
+            open &= open - 1;
+            let certain = mask.certain >> lane & 1 == 1;
+            if certain || segment_hits_triangle(&self.rays[index], bvh.blocks[leaf].get(lane)) {
+                sum += (self.depth_of)(bvh.prim(leaf, lane));
+            }
+        }
+        let opaque = sum.is_opaque();
+        self.sums[index] = if opaque { OpticalDepth::OPAQUE } else { sum };
+        opaque
+    }
+
+    #[inline(always)]
+    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S) {
+        self.sums[index] = traversal::transmittance(kernel, bvh, &self.rays[index], self.depth_of, stats);
+    }
 }

@@ -1,7 +1,6 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::FAN;
-use super::{Avx2, Job, Kernel, NodeRay};
+use super::{Avx2, FAN, Job, Kernel, NodeRay, Rows, Stack};
 use crate::node::{Node, WIDTH};
 use std::arch::x86_64::*;
 use umbrage_geom::kernel::{
@@ -49,26 +48,26 @@ impl Avx512 {
     }
 }
 
-/// Entry and exit of each child.
-///
-/// # Safety
-/// AVX2.
+/// The planes of row `row` of axis `axis`.
 #[inline]
-#[target_feature(enable = "avx2")]
-unsafe fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
+#[target_feature(enable = "avx2,fma")]
+fn planes(node: &Node, row: usize, axis: usize) -> __m256 {
+    // SAFETY: a row is eight bytes.
+    let numbers = unsafe { _mm_loadl_epi64(node.grid[row % 6].as_ptr().cast()) };
+    let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
+    // The product is exact, so that fusing changes nothing.
+    _mm256_fmadd_ps(numbers, _mm256_set1_ps(node.step[axis]), _mm256_set1_ps(node.base[axis]))
+}
+
+/// Entry and exit of each child.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
     let (mut entry, mut exit) = (_mm256_set1_ps(ray.slab.tnear), _mm256_set1_ps(tfar));
     for axis in 0..3 {
         let row = ray.near_row[axis];
-        // SAFETY: `near_row` is below 6 by construction, and so is its neighbour; rows are eight floats, aligned as the
-        // node is.
-        let (near, far) = unsafe {
-            (
-                _mm256_load_ps(node.bounds.get_unchecked(row).as_ptr()),
-                _mm256_load_ps(node.bounds.get_unchecked(row ^ 1).as_ptr()),
-            )
-        };
-        let near = _mm256_sub_ps(near, _mm256_set1_ps(ray.slab.origin_near[axis]));
-        let far = _mm256_sub_ps(far, _mm256_set1_ps(ray.slab.origin_far[axis]));
+        let near = _mm256_sub_ps(planes(node, row, axis), _mm256_set1_ps(ray.slab.origin_near[axis]));
+        let far = _mm256_sub_ps(planes(node, row ^ 1, axis), _mm256_set1_ps(ray.slab.origin_far[axis]));
         // `max` and `min` return the second operand for NaN, which drops it.
         entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(ray.slab.inv_near[axis])), entry);
         exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(ray.slab.inv_far[axis])), exit);
@@ -77,41 +76,43 @@ unsafe fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
 }
 
 #[inline]
+#[target_feature(enable = "avx2,fma")]
+fn rows(node: &Node, origin: [f32; 3]) -> Rows {
+    let mut rows = Rows([[0.0; WIDTH]; 6]);
+    for (i, row) in rows.0.iter_mut().enumerate() {
+        let relative = _mm256_sub_ps(planes(node, i, i / 2), _mm256_set1_ps(origin[i / 2]));
+        // SAFETY: a row is eight floats.
+        unsafe { _mm256_storeu_ps(row.as_mut_ptr(), relative) };
+    }
+    rows
+}
+
+/// All bits set for the children that ray `r` may enter.
+#[inline]
 #[target_feature(enable = "avx2")]
-fn fan_mask<const N: usize>(node: &Node, origin: [f32; 3], rays: &FanRays<N>, r: usize) -> u32 {
+fn fan_slabs<const N: usize>(rows: &Rows, rays: &FanRays<N>, r: usize) -> __m256 {
     let (mut entry, mut exit) = (_mm256_set1_ps(rays.slab_near[r]), _mm256_set1_ps(rays.slab_far[r]));
     for axis in 0..3 {
         let row = 2 * axis + (rays.negative[axis][r] as usize & 1);
-        // SAFETY: `row` is below 6, and so is its neighbour; rows are eight floats, aligned as the node is.
-        let (near, far) = unsafe {
-            (
-                _mm256_load_ps(node.bounds.get_unchecked(row).as_ptr()),
-                _mm256_load_ps(node.bounds.get_unchecked(row ^ 1).as_ptr()),
-            )
-        };
-        let near = _mm256_sub_ps(near, _mm256_set1_ps(origin[axis]));
-        let far = _mm256_sub_ps(far, _mm256_set1_ps(origin[axis]));
+        // SAFETY: rows are eight floats, aligned as all of them are.
+        let (near, far) =
+            unsafe { (_mm256_load_ps(rows.0[row].as_ptr()), _mm256_load_ps(rows.0[row ^ 1].as_ptr())) };
         // `max` and `min` return the second operand for NaN, which drops it.
         entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(rays.inv_near[axis][r])), entry);
         exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(rays.inv_far[axis][r])), exit);
     }
-    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
+    _mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)
 }
 
 #[inline]
 #[target_feature(enable = "avx2")]
-fn overlap(node: &Node, origin: [f32; 3], low: [f32; 3], high: [f32; 3]) -> u32 {
+fn overlap(rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32 {
     let mut reaches = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
     for axis in 0..3 {
-        // SAFETY: rows are eight floats, aligned as the node is.
+        // SAFETY: rows are eight floats, aligned as all of them are.
         let (least, greatest) = unsafe {
-            (
-                _mm256_load_ps(node.bounds[2 * axis].as_ptr()),
-                _mm256_load_ps(node.bounds[2 * axis + 1].as_ptr()),
-            )
+            (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
         };
-        let origin = _mm256_set1_ps(origin[axis]);
-        let (least, greatest) = (_mm256_sub_ps(least, origin), _mm256_sub_ps(greatest, origin));
         let below = _mm256_cmp_ps::<_CMP_LE_OQ>(least, _mm256_set1_ps(high[axis]));
         let above = _mm256_cmp_ps::<_CMP_GE_OQ>(greatest, _mm256_set1_ps(low[axis]));
         reaches = _mm256_and_ps(reaches, _mm256_and_ps(below, above));
@@ -119,21 +120,64 @@ fn overlap(node: &Node, origin: [f32; 3], low: [f32; 3], high: [f32; 3]) -> u32 
     _mm256_movemask_ps(reaches) as u32
 }
 
+/// For each set of lanes their numbers, highest first.
+static PACKED: [[u8; WIDTH]; 256] = {
+    let mut packed = [[0; WIDTH]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut at) = (WIDTH, 0);
+        while lane > 0 {
+            lane -= 1;
+            if mask >> lane & 1 == 1 {
+                packed[mask][at] = lane as u8;
+                at += 1;
+            }
+        }
+        mask += 1;
+    }
+    packed
+};
+
 #[inline]
-#[target_feature(enable = "avx2")]
-fn columns(rows: [u64; FAN / 8]) -> [u32; WIDTH] {
-    let bytes = _mm256_set_epi64x(rows[3] as i64, rows[2] as i64, rows[1] as i64, rows[0] as i64);
-    // The highest bit of each byte is what `movemask` takes.
-    [
-        _mm256_movemask_epi8(_mm256_slli_epi64::<7>(bytes)) as u32,
-        _mm256_movemask_epi8(_mm256_slli_epi64::<6>(bytes)) as u32,
-        _mm256_movemask_epi8(_mm256_slli_epi64::<5>(bytes)) as u32,
-        _mm256_movemask_epi8(_mm256_slli_epi64::<4>(bytes)) as u32,
-        _mm256_movemask_epi8(_mm256_slli_epi64::<3>(bytes)) as u32,
-        _mm256_movemask_epi8(_mm256_slli_epi64::<2>(bytes)) as u32,
-        _mm256_movemask_epi8(_mm256_slli_epi64::<1>(bytes)) as u32,
-        _mm256_movemask_epi8(bytes) as u32,
-    ]
+#[target_feature(enable = "avx2,bmi1,popcnt")]
+fn fan_push(
+    children: &[u32; WIDTH],
+    rows: &Rows,
+    rays: &FanRays<FAN>,
+    mut left: u32,
+    wanted: u32,
+    stack: &mut Stack,
+    top: usize,
+) -> usize {
+    let mut columns = _mm256_setzero_si256();
+    while left != 0 {
+        let r = left.trailing_zeros();
+        let bit = _mm256_set1_epi32((left & left.wrapping_neg()) as i32);
+        left &= left - 1;
+        let entered = _mm256_castps_si256(fan_slabs(rows, rays, r as usize % FAN));
+        columns = _mm256_or_si256(columns, _mm256_and_si256(entered, bit));
+    }
+    let missed = _mm256_cmpeq_epi32(columns, _mm256_setzero_si256());
+    let mask = !(_mm256_movemask_ps(_mm256_castsi256_ps(missed)) as u32) & wanted % 256;
+    assert!(top + WIDTH <= stack.rays.len(), "the tree has no more levels than the stack");
+    // SAFETY: rows of the table are eight bytes; eight entries from `top` are in the stack.
+    unsafe {
+        let order = _mm256_cvtepu8_epi32(_mm_loadl_epi64(PACKED[mask as usize].as_ptr().cast()));
+        let children = _mm256_loadu_si256(children.as_ptr().cast());
+        let children = _mm256_permutevar8x32_epi32(children, order);
+        let columns = _mm256_permutevar8x32_epi32(columns, order);
+        _mm256_storeu_si256(stack.children.as_mut_ptr().add(top).cast(), children);
+        _mm256_storeu_si256(stack.rays.as_mut_ptr().add(top).cast(), columns);
+    }
+    top + mask.count_ones() as usize
+}
+
+#[inline]
+#[target_feature(enable = "sse")]
+fn prefetch(target: *const u8, bytes: usize) {
+    for offset in (0..bytes).step_by(64) {
+        _mm_prefetch::<_MM_HINT_T0>(target.cast::<i8>().wrapping_add(offset));
+    }
 }
 
 impl Kernel for Avx2 {
@@ -142,7 +186,7 @@ impl Kernel for Avx2 {
         // SAFETY: `self` proves the target features.
         unsafe {
             let (entry, exit) = slabs(node, ray, tfar);
-            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
+            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32 & node.used
         }
     }
 
@@ -152,7 +196,7 @@ impl Kernel for Avx2 {
         unsafe {
             let (entry, exit) = slabs(node, ray, tfar);
             _mm256_storeu_ps(entries.as_mut_ptr(), entry);
-            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
+            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32 & node.used
         }
     }
 
@@ -162,18 +206,30 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn fan_mask<const N: usize>(self, node: &Node, origin: [f32; 3], rays: &FanRays<N>, r: usize) -> u32 {
+    fn rows(self, node: &Node, origin: [f32; 3]) -> Rows {
         // SAFETY: `self` proves the target features.
-        unsafe { fan_mask(node, origin, rays, r % N) }
+        unsafe { rows(node, origin) }
     }
 
     #[inline(always)]
-    fn overlap(self, node: &Node, origin: [f32; 3], low: [f32; 3], high: [f32; 3]) -> u32 {
+    fn fan_mask<const N: usize>(self, rows: &Rows, rays: &FanRays<N>, r: usize) -> u32 {
         // SAFETY: `self` proves the target features.
-        unsafe { overlap(node, origin, low, high) }
+        unsafe { _mm256_movemask_ps(fan_slabs(rows, rays, r % N)) as u32 }
+    }
+
+    #[inline(always)]
+    fn overlap(self, rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { overlap(rows, low, high) }
     }
 
     type Planes = fan::x86::Planes;
+
+    #[inline(always)]
+    fn prefetch(self, target: *const u8, bytes: usize) {
+        // SAFETY: `self` proves the target features.
+        unsafe { prefetch(target, bytes) }
+    }
 
     #[inline(always)]
     fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Self::Planes {
@@ -188,8 +244,17 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn columns(self, rows: [u64; FAN / 8]) -> [u32; WIDTH] {
+    fn fan_push(
+        self,
+        children: &[u32; WIDTH],
+        rows: &Rows,
+        rays: &FanRays<FAN>,
+        left: u32,
+        wanted: u32,
+        stack: &mut Stack,
+        top: usize,
+    ) -> usize {
         // SAFETY: `self` proves the target features.
-        unsafe { columns(rows) }
+        unsafe { fan_push(children, rows, rays, left, wanted, stack, top) }
     }
 }

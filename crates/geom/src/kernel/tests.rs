@@ -26,10 +26,9 @@ fn check_mask(
     Ok(())
 }
 
-fn check(triangles: &[[[f32; 3]; 3]], ray: &Ray) -> Result<(), TestCaseError> {
+fn check(vertices: &[[f32; 3]], triangles: &[[u8; 3]], ray: &Ray) -> Result<(), TestCaseError> {
     let Some(prepared) = BlockRay::new(ray) else { return Ok(()) };
-    let mut block = TriangleBlock::EMPTY;
-    triangles.iter().enumerate().for_each(|(lane, &corners)| block.set(lane, corners));
+    let block = TriangleBlock::new(vertices, triangles).expect("few enough");
     check_mask(&block, ray, triangles.len(), scalar::filter(&block, &prepared), "scalar")?;
     #[cfg(target_arch = "x86_64")]
     if let Some(avx2) = x86::Avx2::detect() {
@@ -74,11 +73,12 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(8000))]
     #[test]
     fn certain_answers_are_right(
-        triangles in prop::collection::vec([point(), point(), point()], 0..=8), o in point(), d in point(),
+        vertices in prop::collection::vec(point(), 8..=8),
+        triangles in prop::collection::vec([0u8..8, 0u8..8, 0u8..8], 0..=8), o in point(), d in point(),
         (tnear, tfar) in ends(), scale in prop::sample::select(vec![1f32, 1e-40, 1e-38, 1e-20, 1e14]),
     ) {
         let direction = Vec3::from(d) * scale;
-        check(&triangles, &Ray { origin: o.into(), direction, tnear, tfar })?;
+        check(&vertices, &triangles, &Ray { origin: o.into(), direction, tnear, tfar })?;
     }
 
     #[test]
@@ -94,7 +94,7 @@ proptest! {
         let o = (Vec3::from(o) + far_away) * size;
         let mut direction = a + (b - a) * u + (c - a) * v - o;
         direction.x += nudge as f32 * direction.x.abs() * f32::EPSILON;
-        check(&[shifted], &Ray { origin: o, direction, tnear, tfar })?;
+        check(&shifted, &[[0, 1, 2]], &Ray { origin: o, direction, tnear, tfar })?;
     }
 }
 
@@ -107,11 +107,9 @@ fn few_lanes_stay_open() {
     let (mut open, mut hits) = ([0; 2], [0; 2]);
     let mut rays = FanRays::<CHUNK>::default();
     for _ in 0..20_000 {
-        let mut block = TriangleBlock::EMPTY;
-        for lane in 0..LANES {
-            let mut corner = || [uniform() * 0.01, uniform() * 0.01, 1.0 + uniform() * 0.01];
-            block.set(lane, [corner(), corner(), corner()]);
-        }
+        let vertices = [0; LANES].map(|_| [uniform() * 0.01, uniform() * 0.01, 1.0 + uniform() * 0.01]);
+        let triangles = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| [i, (i + 1) % 8, (i + 3) % 8]);
+        let block = TriangleBlock::new(&vertices, &triangles).unwrap();
         let ray = Ray::new([0.0; 3], [uniform() * 0.01, uniform() * 0.01, 1.0]);
         assert_eq!(rays.prepare(0, &[ray]), 1);
         let direction = rays.direction.map(|row| row[0]);

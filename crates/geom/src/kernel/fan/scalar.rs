@@ -17,7 +17,8 @@ pub struct Planes {
     volume_error: [f32; LANES],
     /// No hit is further.
     reach: [f32; LANES],
-    used: u8,
+    /// Triangles.
+    used: usize,
 }
 
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
@@ -37,11 +38,16 @@ impl Planes {
     #[inline]
     pub fn new(block: &TriangleBlock, origin: [f32; 3]) -> Self {
         let row = [0.0; LANES];
-        let mut this =
-            Self { normals: [[row; 3]; 3], error: row, volume: row, volume_error: row, reach: row, used: 0 };
+        let mut this = Self {
+            normals: [[row; 3]; 3],
+            error: row,
+            volume: row,
+            volume_error: row,
+            reach: row,
+            used: block.len(),
+        };
         for lane in 0..LANES {
             let corners = block.get(lane);
-            this.used |= u8::from(!corners[0][0].is_nan()) << lane;
             let minus = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
             let edges =
                 [minus(corners[1], corners[2]), minus(corners[2], corners[0]), minus(corners[0], corners[1])];
@@ -66,7 +72,7 @@ impl Planes {
     #[inline]
     pub fn filter(&self, direction: [f32; 3], near: f32, far: f32) -> BlockMask {
         let mut mask = BlockMask::default();
-        for lane in (0..LANES).filter(|lane| self.used >> lane & 1 == 1) {
+        for lane in 0..self.used {
             match self.hit(lane, direction, near, far) {
                 Some(true) => mask.certain |= 1 << lane,
                 Some(false) => {}

@@ -1,7 +1,10 @@
 //! The fan filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    super::{BlockMask, DEPTH_UNDERFLOW, LARGEST, TriangleBlock, x86::Avx2},
+    super::{
+        BlockMask, DEPTH_UNDERFLOW, LARGEST, TriangleBlock,
+        x86::{Avx2, corner},
+    },
     DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR,
 };
 use std::arch::x86_64::*;
@@ -47,10 +50,8 @@ fn largest(v: [[__m256; 3]; 3]) -> __m256 {
 #[inline]
 #[target_feature(enable = "avx2,fma")]
 fn planes(block: &TriangleBlock, origin: [f32; 3]) -> Planes {
-    // SAFETY: rows are eight floats, aligned as the block is.
-    let load = |row: &[f32; 8]| unsafe { _mm256_load_ps(row.as_ptr()) };
-    let corner = |c: usize| [0, 1, 2].map(|axis| load(&block.corners[c][axis]));
-    let corners = [corner(0), corner(1), corner(2)];
+    let at = |c: usize| [corner(block, c, 0), corner(block, c, 1), corner(block, c, 2)];
+    let corners = [at(0), at(1), at(2)];
     let origin = [_mm256_set1_ps(origin[0]), _mm256_set1_ps(origin[1]), _mm256_set1_ps(origin[2])];
     let [a, b, c] = [minus(corners[0], origin), minus(corners[1], origin), minus(corners[2], origin)];
     let [ea, eb, ec] =
@@ -70,7 +71,7 @@ fn planes(block: &TriangleBlock, origin: [f32; 3]) -> Planes {
             _mm256_set1_ps(DEPTH_UNDERFLOW),
         ),
         reach: _mm256_mul_ps(_mm256_set1_ps(REACH), far),
-        used: _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_ORD_Q>(corners[0][0], corners[0][0])) as u8,
+        used: block.used(),
     }
 }
 
