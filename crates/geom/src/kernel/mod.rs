@@ -82,6 +82,12 @@ impl TriangleBlock {
     pub fn get(&self, lane: usize) -> [[f32; 3]; 3] {
         self.corners.map(|corner| corner.map(|lanes| lanes[lane]))
     }
+
+    /// All corners by corner, axis, lane; NaN in unused lanes.
+    #[inline]
+    pub fn corners(&self) -> &[[[f32; LANES]; 3]; 3] {
+        &self.corners
+    }
 }
 
 /// What a filter says about a block, one bit per lane. A lane in neither mask is certainly not hit, or unused.
