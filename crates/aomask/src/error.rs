@@ -1,5 +1,6 @@
 //! Why mask ambient occlusion failed.
 
+use crate::BackEnd;
 use umbrage_accel::BuildError;
 use umbrage_geom::FalloffError;
 
@@ -29,6 +30,12 @@ pub enum MaskError {
     /// Rays of different lengths need a finite radius that they refer to.
     #[error("a falloff other than constant needs a finite radius")]
     FalloffWithoutRadius,
+    /// A table can't have that many cells.
+    #[error("table resolution is {0}, expected 8 to 256")]
+    Resolution(u32),
+    /// The back end needs instructions that this processor lacks.
+    #[error("this processor has no support for the back end {0:?}")]
+    BackEnd(BackEnd),
     /// A slice is not as long as there are receivers.
     #[error("{what}: {actual} values for {points} receivers, expected {expected}")]
     Length {

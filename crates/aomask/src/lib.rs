@@ -7,9 +7,11 @@ mod kernel;
 mod options;
 pub mod pattern;
 mod receiver;
+pub mod table;
 
 pub use error::MaskError;
 pub use kernel::BackEnd;
 pub use options::{MaskOptions, Outputs, Sides};
 pub use pattern::{Pattern, PatternOptions};
 pub use receiver::Receiver;
+pub use table::{MaskTables, NodeMasks, TableOptions};
