@@ -31,8 +31,15 @@ pub enum MaskError {
     #[error("a falloff other than constant needs a finite radius")]
     FalloffWithoutRadius,
     /// A table can't have that many cells.
-    #[error("table resolution is {0}, expected 8 to 256")]
-    Resolution(u32),
+    #[error("{value} cells along the table of {what}: expected 8 to {limit}")]
+    Resolution {
+        /// `planes` or `edges`.
+        what: &'static str,
+        /// The resolution.
+        value: u32,
+        /// Largest possible value.
+        limit: u32,
+    },
     /// The back end needs instructions that this processor lacks.
     #[error("this processor has no support for the back end {0:?}")]
     BackEnd(BackEnd),

@@ -4,6 +4,7 @@
 //!
 //! Approximate: planes are rounded to cells of a table. `docs/aomask.md` has measured errors.
 
+mod edge;
 mod node_mask;
 mod plane;
 mod statistics;
@@ -18,18 +19,25 @@ use crate::{
     drive::{self, Engine},
     kernel::Job,
 };
+use edge::EdgeTable;
 use node_mask::{NodeLookup, Silhouettes};
 use plane::PlaneTable;
 use traversal::{Scene, Stack};
 use umbrage_accel::Bvh;
 use umbrage_geom::glam::Vec3;
 
+/// Cells along each side of the cube map of silhouettes.
+const RIMS: u32 = 40;
+
 /// Settings of [`MaskTables`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct TableOptions {
-    /// Cells along each side of the table, 8 to 256; 0 chooses by the number of rays.
-    pub resolution: u32,
+    /// Cells along each side of the cube of planes, 8 to 256; 0 chooses by the number of rays.
+    pub planes: u32,
+    /// Cells along each side of the cube map of edges, 8 to 1024; 0 chooses by the number of rays. Equal to
+    /// [`Self::planes`], edges have the cells that the paper gives them.
+    pub edges: u32,
     /// How the rays that may meet a node are found.
     pub node_masks: NodeMasks,
     /// What queries run on.
@@ -38,15 +46,15 @@ pub struct TableOptions {
 
 impl Default for TableOptions {
     fn default() -> Self {
-        Self { resolution: 0, node_masks: NodeMasks::default(), back_end: BackEnd::best() }
+        Self { planes: 0, edges: 0, node_masks: NodeMasks::default(), back_end: BackEnd::best() }
     }
 }
 
 impl TableOptions {
-    /// Sets [`Self::resolution`].
+    /// Sets [`Self::planes`] and [`Self::edges`].
     #[must_use]
-    pub fn with_resolution(self, resolution: u32) -> Self {
-        Self { resolution, ..self }
+    pub fn with_resolutions(self, planes: u32, edges: u32) -> Self {
+        Self { planes, edges, ..self }
     }
 
     /// Sets [`Self::node_masks`].
@@ -74,45 +82,55 @@ pub struct MaskTables {
 /// Tables with masks of as many words as the pattern needs, rounded up to a power of two.
 #[derive(Clone, Debug)]
 enum Tables {
-    W1(Pair<1>),
-    W2(Pair<2>),
-    W4(Pair<4>),
-    W8(Pair<8>),
-    W16(Pair<16>),
+    W1(TableSet<1>),
+    W2(TableSet<2>),
+    W4(TableSet<4>),
+    W8(TableSet<8>),
+    W16(TableSet<16>),
 }
 
-/// Calls `$body` with the pair, whatever its size.
-macro_rules! with_pair {
-    ($tables:expr, $pair:ident => $body:expr) => {
+/// Calls `$body` with the set, whatever its size.
+macro_rules! with_set {
+    ($tables:expr, $set:ident => $body:expr) => {
         match $tables {
-            Tables::W1($pair) => $body,
-            Tables::W2($pair) => $body,
-            Tables::W4($pair) => $body,
-            Tables::W8($pair) => $body,
-            Tables::W16($pair) => $body,
+            Tables::W1($set) => $body,
+            Tables::W2($set) => $body,
+            Tables::W4($set) => $body,
+            Tables::W8($set) => $body,
+            Tables::W16($set) => $body,
         }
     };
 }
 
 #[derive(Clone, Debug)]
-struct Pair<const W: usize> {
-    /// By ends of rays, in radii.
-    ends: PlaneTable<W>,
-    /// By directions; `None` if all lengths are 1.
-    directions: Option<PlaneTable<W>>,
+struct TableSet<const W: usize> {
+    /// Edges of triangles, by directions.
+    edges: EdgeTable<W>,
+    /// Planes of triangles, by ends of rays in radii.
+    planes: PlaneTable<W>,
+    /// Circles around nodes, by directions; `None` if all lengths are 1 and [`Self::planes`] serves.
+    circles: Option<PlaneTable<W>>,
+    /// Silhouettes of nodes, by directions.
+    rims: EdgeTable<W>,
 }
 
-impl<const W: usize> Pair<W> {
+impl<const W: usize> TableSet<W> {
     fn build(pattern: &Pattern, options: &TableOptions) -> Self {
-        let build = |ends: &[Vec3]| PlaneTable::build(ends, options.resolution, options.back_end);
+        let planes = |ends: &[Vec3]| PlaneTable::build(ends, options.planes, options.back_end);
+        let directions = pattern.directions();
         let ends: Vec<Vec3> =
-            pattern.directions().iter().zip(pattern.lengths()).map(|(&d, &length)| d * length).collect();
-        let directions = (!pattern.has_equal_lengths()).then(|| build(pattern.directions()));
-        Self { ends: build(&ends), directions }
+            directions.iter().zip(pattern.lengths()).map(|(&d, &length)| d * length).collect();
+        Self {
+            edges: EdgeTable::nearest(directions, options.edges, options.back_end),
+            planes: planes(&ends),
+            circles: (!pattern.has_equal_lengths()).then(|| planes(directions)),
+            rims: EdgeTable::conservative(directions, RIMS, options.back_end),
+        }
     }
 
     fn bytes(&self) -> usize {
-        self.ends.bytes() + self.directions.as_ref().map_or(0, PlaneTable::bytes)
+        let circles = self.circles.as_ref().map_or(0, PlaneTable::bytes);
+        self.edges.bytes() + self.planes.bytes() + circles + self.rims.bytes()
     }
 }
 
@@ -123,21 +141,26 @@ impl MaskTables {
     /// [`MaskError::Resolution`]; [`MaskError::BackEnd`] if this processor lacks the one asked for.
     pub fn new(pattern: Pattern, options: &TableOptions) -> Result<Self, MaskError> {
         let mut options = *options;
-        if options.resolution == 0 {
-            options.resolution = default_resolution(pattern.len());
-        }
-        if !(8..=256).contains(&options.resolution) {
-            return Err(MaskError::Resolution(options.resolution));
+        let (planes, edges) = default_resolutions(pattern.len());
+        for (what, value, default, limit) in
+            [("planes", &mut options.planes, planes, 256), ("edges", &mut options.edges, edges, 1024)]
+        {
+            if *value == 0 {
+                *value = default;
+            }
+            if !(8..=limit).contains(value) {
+                return Err(MaskError::Resolution { what, value: *value, limit });
+            }
         }
         if !options.back_end.is_supported() {
             return Err(MaskError::BackEnd(options.back_end));
         }
         let tables = match pattern.words().next_power_of_two() {
-            1 => Tables::W1(Pair::build(&pattern, &options)),
-            2 => Tables::W2(Pair::build(&pattern, &options)),
-            4 => Tables::W4(Pair::build(&pattern, &options)),
-            8 => Tables::W8(Pair::build(&pattern, &options)),
-            _ => Tables::W16(Pair::build(&pattern, &options)),
+            1 => Tables::W1(TableSet::build(&pattern, &options)),
+            2 => Tables::W2(TableSet::build(&pattern, &options)),
+            4 => Tables::W4(TableSet::build(&pattern, &options)),
+            8 => Tables::W8(TableSet::build(&pattern, &options)),
+            _ => Tables::W16(TableSet::build(&pattern, &options)),
         };
         Ok(Self { pattern, options, silhouettes: Silhouettes::new(), tables })
     }
@@ -147,14 +170,14 @@ impl MaskTables {
         &self.pattern
     }
 
-    /// Cells along each side of the table.
-    pub fn resolution(&self) -> u32 {
-        self.options.resolution
+    /// The options, resolutions chosen.
+    pub fn options(&self) -> TableOptions {
+        self.options
     }
 
     /// Bytes that the tables hold.
     pub fn bytes(&self) -> usize {
-        with_pair!(&self.tables, pair => pair.bytes())
+        with_set!(&self.tables, set => set.bytes())
     }
 
     /// Ambient occlusion of receivers at `points` (world units, see [`Receiver::new`]) that look along `normals` among the
@@ -173,8 +196,8 @@ impl MaskTables {
         outputs: Outputs<'_>,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<(), MaskError> {
-        with_pair!(&self.tables, pair => {
-            let engine = Walker { tables: self, scene: self.scene(pair, bvh, options) };
+        with_set!(&self.tables, set => {
+            let engine = Walker { tables: self, scene: self.scene(set, bvh, options) };
             drive::run(&engine, &self.pattern, options, points, normals, outputs, progress)
         })
     }
@@ -191,8 +214,8 @@ impl MaskTables {
     ) -> Result<TableCounters, MaskError> {
         options.validate(&self.pattern)?;
         let mut counters = TableCounters::default();
-        with_pair!(&self.tables, pair => {
-            let scene = self.scene(pair, bvh, options);
+        with_set!(&self.tables, set => {
+            let scene = self.scene(set, bvh, options);
             let mut masks = vec![0; receivers.len() * self.pattern.words()];
             let stack = &mut Vec::new();
             let block = Block { tables: self, scene: &scene, receivers, masks: &mut masks, stack };
@@ -203,22 +226,21 @@ impl MaskTables {
 
     fn scene<'a, const W: usize>(
         &'a self,
-        pair: &'a Pair<W>,
+        set: &'a TableSet<W>,
         bvh: &'a Bvh,
         options: &MaskOptions,
     ) -> Scene<'a, W> {
-        let nodes = match &pair.directions {
-            Some(directions) => {
-                NodeLookup { directions, ends: Some(&pair.ends), silhouettes: &self.silhouettes }
-            }
-            None => NodeLookup { directions: &pair.ends, ends: None, silhouettes: &self.silhouettes },
+        let (directions, ends) = match &set.circles {
+            Some(directions) => (directions, Some(&set.planes)),
+            None => (&set.planes, None),
         };
         Scene {
             view: bvh.view(),
             bounds: bvh.bounds(),
             pattern: &self.pattern,
-            table: &pair.ends,
-            nodes,
+            edges: &set.edges,
+            planes: &set.planes,
+            nodes: NodeLookup { directions, ends, rims: &set.rims, silhouettes: &self.silhouettes },
             node_masks: self.options.node_masks,
             radius: options.radius,
             sides: options.sides,
@@ -226,14 +248,14 @@ impl MaskTables {
     }
 }
 
-/// Tables of about 8 MB or less: those of the next larger resolution were slower on our scenes for less than half the error.
-fn default_resolution(rays: usize) -> u32 {
+/// Cells along each side of the tables of planes and of edges.
+fn default_resolutions(rays: usize) -> (u32, u32) {
     match rays {
-        0..=64 => 96,
-        65..=128 => 80,
-        129..=256 => 64,
-        257..=512 => 48,
-        _ => 40,
+        0..=64 => (64, 256),
+        65..=128 => (56, 192),
+        129..=256 => (48, 160),
+        257..=512 => (40, 128),
+        _ => (32, 96),
     }
 }
 

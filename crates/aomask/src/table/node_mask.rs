@@ -3,7 +3,10 @@
 //! Here: masks by the circle around the box's bounding sphere, and by the box's silhouette. All are conservative: they hold
 //! every ray that meets the box. Not here: the hemisphere test before and the walk after (`traversal.rs`).
 
-use super::plane::{F8, Margin, PlaneTable, V8};
+use super::{
+    edge::EdgeTable,
+    plane::{F8, Margin, PlaneTable, V8},
+};
 
 /// How the rays that may meet a node are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -126,6 +129,8 @@ pub(crate) struct NodeLookup<'a, const W: usize> {
     pub(crate) directions: &'a PlaneTable<W>,
     /// By ends of rays, if their lengths differ.
     pub(crate) ends: Option<&'a PlaneTable<W>>,
+    /// Made by [`EdgeTable::conservative`].
+    pub(crate) rims: &'a EdgeTable<W>,
     pub(crate) silhouettes: &'a Silhouettes,
 }
 
@@ -177,22 +182,22 @@ impl<const W: usize> NodeLookup<'_, W> {
         let corner = |c: usize| {
             local(std::array::from_fn(|axis| if c >> axis & 1 == 1 { high[axis] } else { low[axis] }))
         };
-        // The other side of each edge, a little farther out: what is surely there misses the box. Eight lanes, six used.
+        // Eight lanes, six used.
         let mut normals = [[1.0; 8]; 3];
         for (i, &[from, to]) in edges.iter().enumerate() {
             let ([ax, ay, az], [bx, by, bz]) = (corner(from), corner(to));
-            normals[0][i] = az * by - ay * bz;
-            normals[1][i] = ax * bz - az * bx;
-            normals[2][i] = ay * bx - ax * by;
+            normals[0][i] = ay * bz - az * by;
+            normals[1][i] = az * bx - ax * bz;
+            normals[2][i] = ax * by - ay * bx;
         }
-        let cells = self.directions.cells(&normals, &[Margin::of(self.directions).missed(); 8]);
+        let cells = self.rims.cells(&normals);
         for (i, &cell) in cells.iter().enumerate().take(edges.len()) {
             // An edge that points at the receiver has no plane.
-            if normals.iter().all(|n| n[i].is_finite())
-                && normals.iter().any(|n| n[i].abs() > f32::MIN_POSITIVE)
-            {
-                let missed = self.directions.mask(cell);
-                mask = std::array::from_fn(|w| mask[w] & !missed[w]);
+            let usable = normals.iter().all(|n| n[i].abs() < f32::INFINITY)
+                && normals.iter().any(|n| n[i].abs() > f32::MIN_POSITIVE);
+            if usable {
+                let inside = self.rims.mask(cell);
+                mask = std::array::from_fn(|w| mask[w] & inside[w]);
             }
         }
         mask
@@ -236,19 +241,19 @@ mod tests {
         ) {
             let half = half.map(|x| if x < -2.7 { 0.0 } else { 10f32.powf(x) });
             thread_local! {
-                static TABLES: [(Vec<Vec3>, PlaneTable<4>, PlaneTable<4>); 2] = [true, false].map(|equal| {
+                static TABLES: [(Vec<Vec3>, [PlaneTable<4>; 2], EdgeTable<4>); 2] = [true, false].map(|equal| {
                     let ends = rays(equal);
                     let directions: Vec<Vec3> = ends.iter().map(|e| e.normalize()).collect();
-                    let table = |v: &[Vec3]| PlaneTable::build(v, 20, BackEnd::best());
-                    let tables = (table(&directions), table(&ends));
-                    (ends, tables.0, tables.1)
+                    let tables = [&directions, &ends].map(|v| PlaneTable::build(v, 20, BackEnd::best()));
+                    let rims = EdgeTable::conservative(&directions, 20, BackEnd::best());
+                    (ends, tables, rims)
                 });
             }
             TABLES.with(|tables| {
-                let (ends, directions, lengths) = &tables[usize::from(!equal)];
+                let (ends, [directions, lengths], rims) = &tables[usize::from(!equal)];
                 let silhouettes = Silhouettes::new();
-                let lookup =
-                    NodeLookup { directions, ends: (!equal).then_some(lengths), silhouettes: &silhouettes };
+                let ends_table = (!equal).then_some(lengths);
+                let lookup = NodeLookup { directions, ends: ends_table, rims, silhouettes: &silhouettes };
                 let boxes = LocalBoxes {
                     low: [0, 1, 2].map(|a| [at[a] - half[a]; 8]),
                     high: [0, 1, 2].map(|a| [at[a] + half[a]; 8]),

@@ -1,7 +1,7 @@
 //! The plane table ([Laine10], section 3.1): which rays cross a plane, for every plane at once.
 //!
-//! Here: how a plane finds its cell, filling the cells, bounds on what rounding to a cell changes. Not here: which planes a
-//! triangle or a node asks for (`traversal.rs`, `node_mask.rs`).
+//! Here: how a plane finds its cell, filling the cells, bounds on what rounding to a cell changes. Not here: a finer form of
+//! the table's surface (`edge.rs`), which planes a triangle or a node asks for (`triangle_mask.rs`, `node_mask.rs`).
 
 use crate::kernel::{BackEnd, Job};
 use umbrage_geom::glam::Vec3;
@@ -77,19 +77,19 @@ impl<const W: usize> PlaneTable<W> {
 
 /// `x` rounded to the nearest integer, for `x` in `[0, 2^22]`.
 #[inline(always)]
-fn nearest(x: f32) -> u32 {
+pub(super) fn nearest(x: f32) -> u32 {
     // In numbers from 2^23 on, the last bit of the significand counts ones.
     const ONES: f32 = (1u32 << 23) as f32;
     (x + ONES).to_bits() & 0x7f_ffff
 }
 
 /// Ends of rays by coordinate. Bits without a ray hold NaN, which no comparison lets through.
-struct Rays<const W: usize> {
+pub(super) struct Rays<const W: usize> {
     ends: [Vec<F8>; 3],
 }
 
 impl<const W: usize> Rays<W> {
-    fn new(ends: &[Vec3]) -> Self {
+    pub(super) fn new(ends: &[Vec3]) -> Self {
         let rows = |axis: usize| {
             (0..W * 8).map(move |group| {
                 std::array::from_fn(|i| ends.get(group * 8 + i).map_or(f32::NAN, |end| end[axis]))
@@ -100,7 +100,7 @@ impl<const W: usize> Rays<W> {
 
     /// Bits of the rays whose end has `normal . end >= distance`.
     #[inline(always)]
-    fn beyond(&self, normal: Vec3, distance: f32) -> [u64; W] {
+    pub(super) fn beyond(&self, normal: Vec3, distance: f32) -> [u64; W] {
         let [x, y, z] = [0, 1, 2].map(|axis| &self.ends[axis][..W * 8]);
         std::array::from_fn(|word| {
             (0..8).fold(0, |bits, byte| {
@@ -151,7 +151,7 @@ impl<const W: usize> Job for Layer<'_, W> {
 
 /// At least the distance between two unit vectors, from the sine of their angle up to a right one.
 #[inline(always)]
-fn chord(sine: f32) -> f32 {
+pub(super) fn chord(sine: f32) -> f32 {
     // The exact ratio is 1 / cos(a / 2), from 1 to sqrt(2).
     sine * (1.0 + 0.42 * sine * sine)
 }
@@ -199,12 +199,6 @@ impl Margin {
     #[inline(always)]
     pub(crate) fn plane(self, d: f32) -> f32 {
         d - chord(self.sine(d)) - self.depth
-    }
-
-    /// Distance to look up for a plane through the receiver, so that all rays of length 1 in the mask found are beyond it.
-    pub(crate) fn missed(self) -> f32 {
-        // The larger the distance, the coarser the cells: a few rounds find where it is enough.
-        (0..8).fold(0.0, |d: f32, _| (chord(self.sine(d)) + self.depth).min(1.0))
     }
 }
 

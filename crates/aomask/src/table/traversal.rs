@@ -6,6 +6,7 @@
 
 use super::{
     TableStatistics,
+    edge::EdgeTable,
     node_mask::{LocalBoxes, NodeLookup, NodeMasks},
     plane::{F8, PlaneTable, V8},
     triangle_mask::{Local, Triangles, bits},
@@ -19,8 +20,10 @@ pub(crate) struct Scene<'a, const W: usize> {
     pub(crate) view: View<'a>,
     pub(crate) bounds: Aabb,
     pub(crate) pattern: &'a Pattern,
-    /// Masks by ends of rays.
-    pub(crate) table: &'a PlaneTable<W>,
+    /// By directions of rays.
+    pub(crate) edges: &'a EdgeTable<W>,
+    /// By ends of rays.
+    pub(crate) planes: &'a PlaneTable<W>,
     pub(crate) nodes: NodeLookup<'a, W>,
     pub(crate) node_masks: NodeMasks,
     pub(crate) radius: f32,
@@ -141,7 +144,7 @@ impl<const W: usize> Scene<'_, W> {
             stats.leaf(used, triangles.after.map(u32::count_ones));
         }
         if triangles.alive != 0 {
-            triangles.masks(self.table, block, local, self.sides, |mask| {
+            triangles.masks(self.edges, self.planes, block, local, self.sides, |mask| {
                 for (blocked, mask) in blocked.iter_mut().zip(mask) {
                     *blocked |= mask;
                 }

@@ -3,7 +3,10 @@
 //! Here: eight triangles of a leaf at a time, in the pattern's axes and radii. Not here: which leaves are visited
 //! (`traversal.rs`).
 
-use super::plane::{F8, PlaneTable, V8};
+use super::{
+    edge::EdgeTable,
+    plane::{F8, PlaneTable, V8},
+};
 use crate::Sides;
 use umbrage_geom::{
     Frame,
@@ -129,7 +132,8 @@ impl Triangles {
     #[inline(always)]
     pub(crate) fn masks<const W: usize>(
         &mut self,
-        table: &PlaneTable<W>,
+        edge_table: &EdgeTable<W>,
+        plane_table: &PlaneTable<W>,
         block: &TriangleBlock,
         local: &Local,
         sides: Sides,
@@ -138,15 +142,14 @@ impl Triangles {
         if self.large != 0 {
             self.redo_large(block, local, sides);
         }
-        let zero = [0.0; 8];
-        let edges = self.edges.each_ref().map(|normals| table.cells(normals, &zero));
-        let planes = table.cells(&self.normals, &self.distances);
+        let edges = self.edges.each_ref().map(|normals| edge_table.cells(normals));
+        let planes = plane_table.cells(&self.normals, &self.distances);
         let mut left = self.alive;
         while left != 0 {
             let i = left.trailing_zeros() as usize % 8;
             left &= left - 1;
-            let [e0, e1, e2] = edges.each_ref().map(|cells| table.mask(cells[i]));
-            let plane = table.mask(planes[i]);
+            let [e0, e1, e2] = edges.each_ref().map(|cells| edge_table.mask(cells[i]));
+            let plane = plane_table.mask(planes[i]);
             visit(std::array::from_fn(|w| e0[w] & e1[w] & e2[w] & plane[w]));
         }
     }
