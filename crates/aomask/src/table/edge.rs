@@ -4,7 +4,10 @@
 //! other planes; a cube map of their own can be several times as fine in the same memory, and leaves the cube's inside
 //! coarse, where less depends on it.
 
-use super::plane::{Rays, V8, chord, nearest};
+use super::{
+    lanes::{F8, U8, V8},
+    plane::{Rays, chord},
+};
 use crate::kernel::{BackEnd, Job};
 use umbrage_geom::glam::Vec3;
 
@@ -61,25 +64,30 @@ impl<const W: usize> EdgeTable<W> {
 
     /// Cells of eight normals of any length but 0. What is not finite gets any cell.
     #[inline(always)]
-    pub(crate) fn cells(&self, normals: &V8) -> [u32; 8] {
-        let half = 0.5 * (self.resolution - 1) as f32;
-        std::array::from_fn(|i| {
-            let [x, y, z] = [normals[0][i], normals[1][i], normals[2][i]];
-            let (ax, ay, az) = (x.abs(), y.abs(), z.abs());
-            // Faces 0 and 1 look along x, 2 and 3 along y, 4 and 5 along z; without branches.
-            let x_first = ax >= ay && ax >= az;
-            let y_first = ay >= az;
-            let (main, u, v, face) = if x_first {
-                (x, y, z, 0)
-            } else if y_first {
-                (y, z, x, 2)
+    pub(crate) fn cells(&self, normals: V8) -> [u32; 8] {
+        let V8 { x, y, z } = normals;
+        let V8 { x: ax, y: ay, z: az } = normals.abs();
+        // Faces 0 and 1 look along x, 2 and 3 along y, 4 and 5 along z.
+        let y_first = az.le(ay);
+        let x_first = ay.max(az).le(ax);
+        let main = x.select(x_first, y.select(y_first, z));
+        let u = y.select(x_first, z.select(y_first, x));
+        let v = z.select(x_first, x.select(y_first, y));
+        let mut face = [0; 8];
+        for i in 0..8 {
+            let axis = if x_first >> i & 1 == 1 {
+                0
+            } else if y_first >> i & 1 == 1 {
+                2
             } else {
-                (z, x, y, 4)
+                4
             };
-            let scale = half / main.abs();
-            let [u, v] = [u, v].map(|x| nearest(x * scale + half));
-            u + self.resolution * (v + self.resolution * (face + (main.to_bits() >> 31)))
-        })
+            face[i] = axis + (main.0[i].to_bits() >> 31);
+        }
+        let half = F8::splat(0.5 * (self.resolution - 1) as f32);
+        let scale = half / main.abs();
+        let row = (v * scale + half).nearest().plus(self.resolution, U8(face));
+        (u * scale + half).nearest().plus(self.resolution, row).0
     }
 
     /// The mask of a cell that [`Self::cells`] gave.
@@ -126,7 +134,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn lookup(table: &EdgeTable<2>, n: Vec3) -> u128 {
-        let [low, high] = *table.mask(table.cells(&n.to_array().map(|x| [x; 8]))[3]);
+        let [low, high] = *table.mask(table.cells(V8::splat(n.to_array()))[3]);
         u128::from(low) | u128::from(high) << 64
     }
 

@@ -5,6 +5,7 @@
 //! Approximate: planes are rounded to cells of a table. `docs/aomask.md` has measured errors.
 
 mod edge;
+mod lanes;
 mod node_mask;
 mod plane;
 mod statistics;

@@ -5,7 +5,8 @@
 
 use super::{
     edge::EdgeTable,
-    plane::{F8, Margin, PlaneTable, V8},
+    lanes::{F8, V8, and},
+    plane::{Margin, PlaneTable},
 };
 
 /// How the rays that may meet a node are found.
@@ -44,25 +45,24 @@ impl LocalBoxes {
     /// [Laine10], figure 4.
     #[inline(always)]
     pub(crate) fn circles(&self, directions: Margin, ends: Margin) -> Circles {
-        let mut circles = Circles { inside: 0, direction: [0.0; 8], end: [0.0; 8] };
-        for i in 0..8 {
-            let [x, y, z] = [self.center[0][i], self.center[1][i], self.center[2][i]];
-            let (center2, radius2) = (x * x + y * y + z * z, self.half_diagonal2[i]);
-            let center = center2.sqrt();
-            // Squared distance to where the cone around the sphere touches it.
-            let tangent2 = center2 - radius2;
-            // Right: the cone touches within the radius. Left: the plane through the circle where the sphere leaves the
-            // hemisphere.
-            let near = (tangent2 / center2).max(0.0).sqrt();
-            let far = (tangent2 + 1.0) / (2.0 * center);
-            let cosine = if tangent2 > 1.0 { far.min(1.0) } else { near };
-            circles.direction[i] = directions.circle(cosine, (1.0 - cosine * cosine).max(0.0).sqrt());
-            circles.end[i] = ends.plane(center - radius2.sqrt());
-            // Also what is not a number.
-            let outside = tangent2 > 1e-3 * center2 && center2 < f32::MAX;
-            circles.inside |= u32::from(!outside) << i;
+        let one = F8::splat(1.0);
+        let (center2, radius2) = (self.center.dot(self.center), self.half_diagonal2);
+        let center = center2.sqrt();
+        // Squared distance to where the cone around the sphere touches it.
+        let tangent2 = center2 - radius2;
+        // Right: the cone touches within the radius. Left: the plane through the circle where the sphere leaves the
+        // hemisphere.
+        let near = (tangent2 / center2).max(F8::ZERO).sqrt();
+        let far = ((tangent2 + one) / (center + center)).min(one);
+        let cosine = far.select(one.lt(tangent2), near);
+        let sine = (one - cosine * cosine).max(F8::ZERO).sqrt();
+        // Not what is not a number.
+        let outside = (F8::splat(1e-3) * center2).lt(tangent2) & center2.lt(F8::splat(f32::MAX));
+        Circles {
+            inside: !outside,
+            direction: directions.circle(cosine, sine),
+            end: ends.plane(center - radius2.sqrt()),
         }
-        circles
     }
 }
 
@@ -140,9 +140,9 @@ impl<const W: usize> NodeLookup<'_, W> {
     pub(crate) fn circles(&self, boxes: &LocalBoxes, alive: u32, mut visit: impl FnMut(usize, [u64; W])) {
         let margin = Margin::of(self.directions);
         let circles = boxes.circles(margin, self.ends.map_or(margin, Margin::of));
-        let direction_cells = self.directions.cells(&boxes.center, &circles.direction);
+        let direction_cells = self.directions.cells(boxes.center, circles.direction);
         let end_cells = match self.ends {
-            Some(ends) => ends.cells(&boxes.center, &circles.end),
+            Some(ends) => ends.cells(boxes.center, circles.end),
             None => [0; 8],
         };
         let mut left = alive;
@@ -151,14 +151,13 @@ impl<const W: usize> NodeLookup<'_, W> {
             left &= left - 1;
             let mut mask = [!0; W];
             if circles.inside >> i & 1 == 0 {
-                if circles.direction[i] >= 0.0 {
+                if circles.direction.0[i] >= 0.0 {
                     mask = *self.directions.mask(direction_cells[i]);
                 }
                 if let Some(ends) = self.ends
-                    && circles.end[i] >= 0.0
+                    && circles.end.0[i] >= 0.0
                 {
-                    let reach = ends.mask(end_cells[i]);
-                    mask = std::array::from_fn(|w| mask[w] & reach[w]);
+                    mask = and(&mask, ends.mask(end_cells[i]));
                 }
             }
             visit(i, mask);
@@ -168,36 +167,29 @@ impl<const W: usize> NodeLookup<'_, W> {
     /// The mask of one box, from `low` to `high` around the receiver in world axes, by its silhouette; `local` turns
     /// vectors into the pattern's axes.
     #[inline(always)]
-    pub(crate) fn silhouette(
-        &self,
-        low: [f32; 3],
-        high: [f32; 3],
-        local: impl Fn([f32; 3]) -> [f32; 3],
-    ) -> [u64; W] {
+    pub(crate) fn silhouette(&self, low: [f32; 3], high: [f32; 3], local: impl Fn(V8) -> V8) -> [u64; W] {
         let edges = self.silhouettes.of(low, high);
         let mut mask = [!0; W];
         if edges.is_empty() {
             return mask;
         }
-        let corner = |c: usize| {
-            local(std::array::from_fn(|axis| if c >> axis & 1 == 1 { high[axis] } else { low[axis] }))
-        };
         // Eight lanes, six used.
-        let mut normals = [[1.0; 8]; 3];
-        for (i, &[from, to]) in edges.iter().enumerate() {
-            let ([ax, ay, az], [bx, by, bz]) = (corner(from), corner(to));
-            normals[0][i] = ay * bz - az * by;
-            normals[1][i] = az * bx - ax * bz;
-            normals[2][i] = ax * by - ay * bx;
+        let (mut from, mut to) = ([[1.0; 8]; 3], [[1.0; 8]; 3]);
+        for (i, edge) in edges.iter().enumerate() {
+            for axis in 0..3 {
+                let ends = [low[axis], high[axis]];
+                from[axis][i] = ends[edge[0] >> axis & 1];
+                to[axis][i] = ends[edge[1] >> axis & 1];
+            }
         }
-        let cells = self.rims.cells(&normals);
+        let normals = local(V8::from_rows(&from)).cross(local(V8::from_rows(&to)));
+        let largest = normals.abs().largest();
+        // An edge that points at the receiver has no plane.
+        let usable = F8::splat(f32::MIN_POSITIVE).lt(largest) & largest.lt(F8::splat(f32::INFINITY));
+        let cells = self.rims.cells(normals);
         for (i, &cell) in cells.iter().enumerate().take(edges.len()) {
-            // An edge that points at the receiver has no plane.
-            let usable = normals.iter().all(|n| n[i].abs() < f32::INFINITY)
-                && normals.iter().any(|n| n[i].abs() > f32::MIN_POSITIVE);
-            if usable {
-                let inside = self.rims.mask(cell);
-                mask = std::array::from_fn(|w| mask[w] & inside[w]);
+            if usable >> i & 1 == 1 {
+                mask = and(&mask, self.rims.mask(cell));
             }
         }
         mask
@@ -255,12 +247,12 @@ mod tests {
                 let ends_table = (!equal).then_some(lengths);
                 let lookup = NodeLookup { directions, ends: ends_table, rims, silhouettes: &silhouettes };
                 let boxes = LocalBoxes {
-                    low: [0, 1, 2].map(|a| [at[a] - half[a]; 8]),
-                    high: [0, 1, 2].map(|a| [at[a] + half[a]; 8]),
-                    center: at.map(|x| [x; 8]),
-                    half_diagonal2: [half.iter().map(|x| x * x).sum(); 8],
+                    low: V8::splat([0, 1, 2].map(|a| at[a] - half[a])),
+                    high: V8::splat([0, 1, 2].map(|a| at[a] + half[a])),
+                    center: V8::splat(at),
+                    half_diagonal2: F8::splat(half.iter().map(|x| x * x).sum()),
                 };
-                let [low, high] = [&boxes.low, &boxes.high].map(|c| c.map(|lanes| lanes[0]));
+                let (low, high) = (boxes.low.lane(0), boxes.high.lane(0));
                 let mut masks = vec![lookup.silhouette(low, high, |v| v)];
                 lookup.circles(&boxes, 0b100, |_, mask| masks.push(mask));
                 for (i, &end) in ends.iter().enumerate() {

@@ -3,14 +3,9 @@
 //! Here: how a plane finds its cell, filling the cells, bounds on what rounding to a cell changes. Not here: a finer form of
 //! the table's surface (`edge.rs`), which planes a triangle or a node asks for (`triangle_mask.rs`, `node_mask.rs`).
 
+use super::lanes::{F8, V8};
 use crate::kernel::{BackEnd, Job};
 use umbrage_geom::glam::Vec3;
-
-/// Eight numbers, one a lane.
-pub(crate) type F8 = [f32; 8];
-
-/// Coordinates of eight vectors.
-pub(crate) type V8 = [F8; 3];
 
 /// Share of the table's radius that distances take, the `7/8` of the paper.
 const DEPTH: f32 = 0.875;
@@ -57,15 +52,14 @@ impl<const W: usize> PlaneTable<W> {
 
     /// Cells of eight planes: normals of any length but 0, distances in radii. What is not finite gets any cell.
     #[inline(always)]
-    pub(crate) fn cells(&self, normals: &V8, distances: &F8) -> [u32; 8] {
+    pub(crate) fn cells(&self, normals: V8, distances: F8) -> [u32; 8] {
         let half = 0.5 * (self.resolution - 1) as f32;
-        std::array::from_fn(|i| {
-            let n = [normals[0][i], normals[1][i], normals[2][i]];
-            let largest = n[0].abs().max(n[1].abs()).max(n[2].abs());
-            let scale = half * (1.0 - DEPTH * distances[i]) / largest;
-            let [x, y, z] = n.map(|x| nearest(x * scale + half));
-            x + self.resolution * (y + self.resolution * z)
-        })
+        let depth = F8::splat(half) - F8::splat(half * DEPTH) * distances;
+        let at = normals.scale(depth / normals.abs().largest());
+        let [x, y, z] = [at.x, at.y, at.z];
+        let half = F8::splat(half);
+        let upper = (y + half).nearest().plus(self.resolution, (z + half).nearest());
+        (x + half).nearest().plus(self.resolution, upper).0
     }
 
     /// The mask of a cell that [`Self::cells`] gave.
@@ -75,17 +69,9 @@ impl<const W: usize> PlaneTable<W> {
     }
 }
 
-/// `x` rounded to the nearest integer, for `x` in `[0, 2^22]`.
-#[inline(always)]
-pub(super) fn nearest(x: f32) -> u32 {
-    // In numbers from 2^23 on, the last bit of the significand counts ones.
-    const ONES: f32 = (1u32 << 23) as f32;
-    (x + ONES).to_bits() & 0x7f_ffff
-}
-
 /// Ends of rays by coordinate. Bits without a ray hold NaN, which no comparison lets through.
 pub(super) struct Rays<const W: usize> {
-    ends: [Vec<F8>; 3],
+    ends: [Vec<[f32; 8]>; 3],
 }
 
 impl<const W: usize> Rays<W> {
@@ -101,17 +87,15 @@ impl<const W: usize> Rays<W> {
     /// Bits of the rays whose end has `normal . end >= distance`.
     #[inline(always)]
     pub(super) fn beyond(&self, normal: Vec3, distance: f32) -> [u64; W] {
-        let [x, y, z] = [0, 1, 2].map(|axis| &self.ends[axis][..W * 8]);
-        std::array::from_fn(|word| {
-            (0..8).fold(0, |bits, byte| {
-                let g = word * 8 + byte;
-                let mask = (0..8).fold(0, |mask, i| {
-                    let dot = normal.x * x[g][i] + normal.y * y[g][i] + normal.z * z[g][i];
-                    mask | u64::from(dot >= distance) << i
-                });
-                bits | mask << (8 * byte)
-            })
-        })
+        let [x, y, z] = &self.ends;
+        let (x, y, z) = (&x[..W * 8], &y[..W * 8], &z[..W * 8]);
+        let n = V8::splat(normal.to_array());
+        let mut words = [0; W];
+        for group in 0..W * 8 {
+            let heights = n.dot(V8::new(F8(x[group]), F8(y[group]), F8(z[group])));
+            words[group / 8] |= u64::from(F8::splat(distance).le(heights)) << (group % 8 * 8);
+        }
+        words
     }
 }
 
@@ -149,11 +133,14 @@ impl<const W: usize> Job for Layer<'_, W> {
     }
 }
 
+/// See [`chord`].
+const CHORD: f32 = 0.42;
+
 /// At least the distance between two unit vectors, from the sine of their angle up to a right one.
 #[inline(always)]
 pub(super) fn chord(sine: f32) -> f32 {
     // The exact ratio is 1 / cos(a / 2), from 1 to sqrt(2).
-    sine * (1.0 + 0.42 * sine * sine)
+    sine * (1.0 + CHORD * sine * sine)
 }
 
 /// Enlarges circles on the unit sphere so that no ray inside is lost when the circle is rounded to a cell.
@@ -176,8 +163,9 @@ impl Margin {
     ///
     /// The plane's coordinates have a length of at least `1 - 7/8 d`, and the cell's centre is within `offset` of them.
     #[inline(always)]
-    fn sine(self, d: f32) -> f32 {
-        (self.offset / (1.0 - DEPTH * d)).min(1.0)
+    fn sine(self, d: F8) -> F8 {
+        let one = F8::splat(1.0);
+        (F8::splat(self.offset) / (one - F8::splat(DEPTH) * d)).min(one)
     }
 
     /// Distance to look up for a circle of directions with this cosine and sine of its angular radius, so that the mask
@@ -187,9 +175,9 @@ impl Margin {
     /// so the cell's distance must be at most `cos(r + a)`, and it is at most `depth` more than what is looked up. If `a`
     /// has no bound below a right angle, the result is negative.
     #[inline(always)]
-    pub(crate) fn circle(self, cosine: f32, sine: f32) -> f32 {
+    pub(crate) fn circle(self, cosine: F8, sine: F8) -> F8 {
         let a = self.sine(cosine);
-        cosine * (1.0 - a * a).sqrt() - sine * a - self.depth
+        cosine * (F8::splat(1.0) - a * a).sqrt() - sine * a - F8::splat(self.depth)
     }
 
     /// Distance to look up for a plane at distance `d`, so that the mask found holds all ends of rays, of length 1 at
@@ -197,8 +185,10 @@ impl Margin {
     ///
     /// The end's distance from the two planes differs by the distance of their normals.
     #[inline(always)]
-    pub(crate) fn plane(self, d: f32) -> f32 {
-        d - chord(self.sine(d)) - self.depth
+    pub(crate) fn plane(self, d: F8) -> F8 {
+        let sine = self.sine(d);
+        // As `chord`.
+        d - sine * (F8::splat(1.0) + F8::splat(CHORD) * sine * sine) - F8::splat(self.depth)
     }
 }
 
@@ -209,7 +199,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn lookup(table: &PlaneTable<2>, n: Vec3, d: f32) -> [u64; 2] {
-        let cells = table.cells(&[[n.x; 8], [n.y; 8], [n.z; 8]], &[d; 8]);
+        let cells = table.cells(V8::splat(n.to_array()), F8::splat(d));
         *table.mask(cells[5])
     }
 
@@ -245,11 +235,13 @@ mod tests {
         let mut runner = proptest::test_runner::TestRunner::deterministic();
         runner
             .run(&(normal(), 0f32..1.0), |(n, d)| {
-                let near = chord(margin.sine(d)) + margin.depth;
+                let near = chord(margin.sine(F8::splat(d)).0[0]) + margin.depth;
                 let mask = lookup(&table, n * 3.0, d);
                 let through = lookup(&table, n, 0.0);
                 let opposite = lookup(&table, -n, 0.0);
-                let (circle, plane) = (margin.circle(d, (1.0 - d * d).sqrt()), margin.plane(d));
+                let sine = F8::splat((1.0 - d * d).sqrt());
+                let [circle, plane] =
+                    [margin.circle(F8::splat(d), sine), margin.plane(F8::splat(d))].map(|x| x.0[7]);
                 for (i, e) in ends.iter().enumerate() {
                     let height = n.dot(*e);
                     if (height - d).abs() > near {

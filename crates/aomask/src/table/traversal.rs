@@ -7,9 +7,10 @@
 use super::{
     TableStatistics,
     edge::EdgeTable,
+    lanes::{F8, V8, gain},
     node_mask::{LocalBoxes, NodeLookup, NodeMasks},
-    plane::{F8, PlaneTable, V8},
-    triangle_mask::{Local, Triangles, bits},
+    plane::PlaneTable,
+    triangle_mask::{Local, Triangles},
 };
 use crate::{Pattern, Receiver, Sides};
 use umbrage_accel::{Child, View};
@@ -39,12 +40,6 @@ pub(crate) struct Entry<const W: usize> {
 
 /// Room for a walk.
 pub(crate) type Stack<const W: usize> = Vec<Entry<W>>;
-
-/// Rays in `mask` that are not in `blocked`.
-#[inline(always)]
-fn gain<const W: usize>(mask: &[u64; W], blocked: &[u64; W]) -> u32 {
-    (0..W).map(|w| (mask[w] & !blocked[w]).count_ones()).sum()
-}
 
 impl<const W: usize> Scene<'_, W> {
     /// Mask of the rays of `receiver` that are blocked. Rays not in `blocked` at the start are asked about.
@@ -124,8 +119,8 @@ impl<const W: usize> Scene<'_, W> {
             NodeMasks::Circle => self.nodes.circles(&boxes, alive, visit),
             NodeMasks::Silhouette => {
                 for i in (0..8).filter(|i| alive >> i & 1 == 1) {
-                    let [low, high] = [&boxes.low, &boxes.high].map(|c| c.map(|lanes| lanes[i]));
-                    visit(i, self.nodes.silhouette(low, high, |v| local.vector(v)));
+                    let (low, high) = (boxes.low.lane(i), boxes.high.lane(i));
+                    visit(i, self.nodes.silhouette(low, high, |v| local.vectors(v)));
                 }
             }
         }
@@ -145,8 +140,8 @@ impl<const W: usize> Scene<'_, W> {
         }
         if triangles.alive != 0 {
             triangles.masks(self.edges, self.planes, block, local, self.sides, |mask| {
-                for (blocked, mask) in blocked.iter_mut().zip(mask) {
-                    *blocked |= mask;
+                for w in 0..W {
+                    blocked[w] |= mask[w];
                 }
             });
         }
@@ -155,29 +150,22 @@ impl<const W: usize> Scene<'_, W> {
 
 /// Children whose boxes meet the hemisphere: not beyond the radius, not wholly below the horizon.
 #[inline(always)]
-fn hemisphere(bounds: &[F8; 6], local: &Local) -> (LocalBoxes, u32) {
-    let row = |r: usize, axis: usize| {
-        let origin = local.origin[axis];
-        bounds[r].map(|x| x - origin)
-    };
-    let low: V8 = [row(0, 0), row(2, 1), row(4, 2)];
-    let high: V8 = [row(1, 0), row(3, 1), row(5, 2)];
-    let middle = std::array::from_fn(|axis| std::array::from_fn(|i| 0.5 * (low[axis][i] + high[axis][i])));
-    let half: V8 = std::array::from_fn(|axis| std::array::from_fn(|i| 0.5 * (high[axis][i] - low[axis][i])));
-    let center = local.vectors(&middle);
+fn hemisphere(bounds: &[[f32; 8]; 6], local: &Local) -> (LocalBoxes, u32) {
+    let [x0, x1, y0, y1, z0, z1] = *bounds;
+    let origin = V8::splat(local.origin);
+    let low = V8::from_rows(&[x0, y0, z0]) - origin;
+    let high = V8::from_rows(&[x1, y1, z1]) - origin;
+    let half = F8::splat(0.5);
+    let center = local.vectors((low + high).scale(half));
+    let extent = (high - low).scale(half);
     // Rows are divided by the radius: their length is its inverse.
-    let inverse = Vec3::from(local.rows[2]).length();
-    let inverse2 = inverse * inverse;
-    let up = local.rows[2].map(f32::abs);
-    let half_diagonal2 = std::array::from_fn(|i| {
-        (half[0][i] * half[0][i] + half[1][i] * half[1][i] + half[2][i] * half[2][i]) * inverse2
-    });
-    let alive = bits(|i| {
-        let gap = |axis: usize| low[axis][i].max(-high[axis][i]).max(0.0) * inverse;
-        let distance2 = gap(0) * gap(0) + gap(1) * gap(1) + gap(2) * gap(2);
-        let rise = up[0] * half[0][i] + up[1] * half[1][i] + up[2] * half[2][i];
-        // Empty slots have infinite gaps.
-        distance2 <= 1.0 + 1e-5 && center[2][i] + rise >= -1e-5 * rise
-    });
-    (LocalBoxes { low, high, center, half_diagonal2 }, alive)
+    let inverse = F8::splat(Vec3::from(local.rows[2]).length());
+    let zero = V8::splat([0.0; 3]);
+    let gap = low.max(zero - high).max(zero).scale(inverse);
+    let [x, y, z] = local.rows[2];
+    let rise = V8::splat([x.abs(), y.abs(), z.abs()]).dot(extent);
+    // Empty slots have infinite gaps.
+    let near = gap.dot(gap).le(F8::splat(1.0 + 1e-5));
+    let alive = near & F8::ZERO.le(center.z + rise * F8::splat(1.0 + 1e-5));
+    (LocalBoxes { low, high, center, half_diagonal2: extent.dot(extent) * inverse * inverse }, alive)
 }

@@ -5,7 +5,8 @@
 
 use super::{
     edge::EdgeTable,
-    plane::{F8, PlaneTable, V8},
+    lanes::{F8, V8, and},
+    plane::PlaneTable,
 };
 use crate::Sides;
 use umbrage_geom::{
@@ -31,49 +32,18 @@ impl Local {
         Self { origin: origin.to_array(), rows }
     }
 
-    /// Turns and scales a vector.
+    /// Turns and scales vectors.
     #[inline(always)]
-    pub(crate) fn vector(&self, v: [f32; 3]) -> [f32; 3] {
-        self.rows.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+    pub(crate) fn vectors(&self, v: V8) -> V8 {
+        let [x, y, z] = self.rows;
+        V8::new(V8::splat(x).dot(v), V8::splat(y).dot(v), V8::splat(z).dot(v))
     }
 
-    /// Turns and scales eight vectors.
+    /// Moves, turns and scales points.
     #[inline(always)]
-    pub(crate) fn vectors(&self, v: &V8) -> V8 {
-        self.rows.map(|row| std::array::from_fn(|i| row[0] * v[0][i] + row[1] * v[1][i] + row[2] * v[2][i]))
+    fn points(&self, p: &[[f32; 8]; 3]) -> V8 {
+        self.vectors(V8::from_rows(p) - V8::splat(self.origin))
     }
-
-    /// Moves, turns and scales eight points.
-    #[inline(always)]
-    fn points(&self, p: &V8) -> V8 {
-        let moved = std::array::from_fn(|axis| {
-            let origin = self.origin[axis];
-            p[axis].map(|x| x - origin)
-        });
-        self.vectors(&moved)
-    }
-}
-
-#[inline(always)]
-fn cross(a: &V8, b: &V8) -> V8 {
-    let row = |u: usize, v: usize| std::array::from_fn(|i| a[u][i] * b[v][i] - a[v][i] * b[u][i]);
-    [row(1, 2), row(2, 0), row(0, 1)]
-}
-
-#[inline(always)]
-fn dot(a: &V8, b: &V8) -> F8 {
-    std::array::from_fn(|i| a[0][i] * b[0][i] + a[1][i] * b[1][i] + a[2][i] * b[2][i])
-}
-
-#[inline(always)]
-fn minus(a: &V8, b: &V8) -> V8 {
-    std::array::from_fn(|axis| std::array::from_fn(|i| a[axis][i] - b[axis][i]))
-}
-
-/// Bits of the lanes where `test` is true.
-#[inline(always)]
-pub(crate) fn bits(test: impl Fn(usize) -> bool) -> u32 {
-    (0..8).fold(0, |bits, i| bits | u32::from(test(i)) << i)
 }
 
 /// Eight triangles with what their masks need. Lanes that are culled, unused or degenerate are not in `alive`.
@@ -94,35 +64,33 @@ impl Triangles {
     /// Puts the triangles of `block` through the culling tests.
     #[inline(always)]
     pub(crate) fn new(block: &TriangleBlock, local: &Local, sides: Sides) -> Self {
-        let [a, b, c] = block.corners().each_ref().map(|corner| local.points(corner));
-        let largest: F8 = std::array::from_fn(|i| {
-            [&a, &b, &c].iter().flat_map(|v| v.iter()).fold(0f32, |m, lanes| m.max(lanes[i].abs()))
-        });
-        let used = bits(|i| a[0][i] == a[0][i]);
-        let large = bits(|i| largest[i] >= LARGE) & used;
+        let corners = block.corners();
+        let (a, b, c) = (local.points(&corners[0]), local.points(&corners[1]), local.points(&corners[2]));
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        // Unused lanes are not a number.
+        let used = high.z.le(F8::splat(f32::INFINITY));
+        let large = F8::splat(LARGE).le(low.abs().max(high.abs()).largest()) & used;
         // 1. All vertices below the horizon.
-        let above = bits(|i| a[2][i].max(b[2][i]).max(c[2][i]) > 0.0) & used;
+        let above = F8::ZERO.lt(high.z) & used;
         // 2. One-sided and facing away. Triangles whose plane holds the receiver block nothing.
-        let normals = cross(&minus(&b, &a), &minus(&c, &a));
-        let heights = dot(&normals, &a);
+        let normals = (b - a).cross(c - a);
+        let heights = normals.dot(a);
         let facing = above
             & match sides {
-                Sides::Both => bits(|i| heights[i] != 0.0),
-                Sides::Front => bits(|i| heights[i] < 0.0),
+                Sides::Both => F8::ZERO.lt(heights.abs()),
+                Sides::Front => heights.lt(F8::ZERO),
             };
         // 3. The plane is beyond the radius.
-        let squares = dot(&normals, &normals);
-        let distances: F8 = std::array::from_fn(|i| heights[i].abs() / squares[i].sqrt());
-        let close = facing & bits(|i| distances[i] <= 1.0);
+        let distances = heights.abs() / normals.dot(normals).sqrt();
+        let close = facing & distances.le(F8::splat(1.0));
         // 4. The receiver is outside the bounding sphere of the region of influence.
-        let reached = close & within_reach(&a, &b, &c);
-        let sign: F8 = std::array::from_fn(|i| 1f32.copysign(heights[i]));
-        let signed = |v: V8| v.map(|row| std::array::from_fn(|i| row[i] * sign[i]));
+        let reached = close & within_reach([a, b, c], (low + high).scale(F8::splat(0.5)));
+        let sign = heights.signum();
         Self {
             alive: reached | large,
             after: [above | large, facing | large, close | large, reached | large],
-            edges: [signed(cross(&a, &b)), signed(cross(&b, &c)), signed(cross(&c, &a))],
-            normals: signed(normals),
+            edges: [a.cross(b).scale(sign), b.cross(c).scale(sign), c.cross(a).scale(sign)],
+            normals: normals.scale(sign),
             distances,
             large,
         }
@@ -142,15 +110,16 @@ impl Triangles {
         if self.large != 0 {
             self.redo_large(block, local, sides);
         }
-        let edges = self.edges.each_ref().map(|normals| edge_table.cells(normals));
-        let planes = plane_table.cells(&self.normals, &self.distances);
+        let [e0, e1, e2] = self.edges;
+        let (e0, e1, e2) = (edge_table.cells(e0), edge_table.cells(e1), edge_table.cells(e2));
+        let planes = plane_table.cells(self.normals, self.distances);
         let mut left = self.alive;
         while left != 0 {
             let i = left.trailing_zeros() as usize % 8;
             left &= left - 1;
-            let [e0, e1, e2] = edges.each_ref().map(|cells| edge_table.mask(cells[i]));
-            let plane = plane_table.mask(planes[i]);
-            visit(std::array::from_fn(|w| e0[w] & e1[w] & e2[w] & plane[w]));
+            let two = and(edge_table.mask(e0[i]), edge_table.mask(e1[i]));
+            let three = and(&two, edge_table.mask(e2[i]));
+            visit(and(&three, plane_table.mask(planes[i])));
         }
     }
 
@@ -177,32 +146,18 @@ impl Triangles {
             let sign = height.signum();
             let [a, b, c] = [a, b, c].map(|v| v / size);
             for (row, v) in self.edges.iter_mut().zip([a.cross(b), b.cross(c), c.cross(a)]) {
-                let v = (v * sign).normalize_or_zero().as_vec3().to_array();
-                row.iter_mut().zip(v).for_each(|(lanes, x)| lanes[i] = x);
+                row.set_lane(i, (v * sign).normalize_or_zero().as_vec3().to_array());
             }
-            let normal = (normal * sign).as_vec3().to_array();
-            self.normals.iter_mut().zip(normal).for_each(|(lanes, x)| lanes[i] = x);
-            self.distances[i] = height.abs() as f32;
+            self.normals.set_lane(i, (normal * sign).as_vec3().to_array());
+            self.distances.0[i] = height.abs() as f32;
         }
     }
 }
 
-/// Lanes whose bounding sphere, grown by the radius, holds the receiver.
+/// Lanes whose sphere around `center` through the farthest corner, grown by the radius, holds the receiver.
 #[inline(always)]
-fn within_reach(a: &V8, b: &V8, c: &V8) -> u32 {
-    let center: V8 = std::array::from_fn(|axis| {
-        std::array::from_fn(|i| {
-            let (a, b, c) = (a[axis][i], b[axis][i], c[axis][i]);
-            0.5 * (a.min(b).min(c) + a.max(b).max(c))
-        })
-    });
-    let radii = [a, b, c].map(|v| {
-        let v = minus(v, &center);
-        dot(&v, &v)
-    });
-    let distance = dot(&center, &center);
-    bits(|i| {
-        let reach = 1.0 + radii[0][i].max(radii[1][i]).max(radii[2][i]).sqrt();
-        distance[i] <= reach * reach * (1.0 + 1e-5)
-    })
+fn within_reach([a, b, c]: [V8; 3], center: V8) -> u32 {
+    let (a, b, c) = (a - center, b - center, c - center);
+    let reach = F8::splat(1.0) + a.dot(a).max(b.dot(b)).max(c.dot(c)).sqrt();
+    center.dot(center).le(reach * reach * F8::splat(1.0 + 1e-5))
 }
