@@ -24,9 +24,7 @@ pub struct Tables {
 
 impl Tables {
     pub fn build(workload: &Workload, node_masks: NodeMasks, one: &ThreadPool) -> Result<Self> {
-        let env = |name: &str| std::env::var(name).map_or(0, |r| r.parse().unwrap());
-        let options =
-            TableOptions::default().with_node_masks(node_masks).with_resolutions(env("RES"), env("EDGES"));
+        let options = TableOptions::default().with_node_masks(node_masks);
         let start = Instant::now();
         let tables = one.install(|| MaskTables::new(workload.pattern.clone(), &options))?;
         Ok(Self { tables, node_masks, build_s: start.elapsed().as_secs_f64() })

@@ -21,9 +21,9 @@ pub enum NodeMasks {
 
 /// Boxes of a node's children around the receiver, in radii.
 pub(crate) struct LocalBoxes {
-    /// Lowest corners, world axes.
+    /// Lowest corners, the world's axes.
     pub(crate) low: V8,
-    /// Highest corners, world axes.
+    /// Highest corners, the world's axes.
     pub(crate) high: V8,
     /// Centres in the pattern's axes.
     pub(crate) center: V8,

@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{Pattern, Receiver, Sides};
 use umbrage_accel::{Child, View};
-use umbrage_geom::{Aabb, glam::Vec3};
+use umbrage_geom::Aabb;
 
 /// What all receivers of a call share.
 pub(crate) struct Scene<'a, const W: usize> {
@@ -120,7 +120,7 @@ impl<const W: usize> Scene<'_, W> {
             NodeMasks::Silhouette => {
                 for i in (0..8).filter(|i| alive >> i & 1 == 1) {
                     let (low, high) = (boxes.low.lane(i), boxes.high.lane(i));
-                    visit(i, self.nodes.silhouette(low, high, |v| local.vectors(v)));
+                    visit(i, self.nodes.silhouette(low, high, |v| local.turn(v)));
                 }
             }
         }
@@ -152,20 +152,15 @@ impl<const W: usize> Scene<'_, W> {
 #[inline(always)]
 fn hemisphere(bounds: &[[f32; 8]; 6], local: &Local) -> (LocalBoxes, u32) {
     let [x0, x1, y0, y1, z0, z1] = *bounds;
-    let origin = V8::splat(local.origin);
-    let low = V8::from_rows(&[x0, y0, z0]) - origin;
-    let high = V8::from_rows(&[x1, y1, z1]) - origin;
+    let (low, high) = (local.points(&[x0, y0, z0]), local.points(&[x1, y1, z1]));
     let half = F8::splat(0.5);
-    let center = local.vectors((low + high).scale(half));
+    let center = local.turn((low + high).scale(half));
     let extent = (high - low).scale(half);
-    // Rows are divided by the radius: their length is its inverse.
-    let inverse = F8::splat(Vec3::from(local.rows[2]).length());
     let zero = V8::splat([0.0; 3]);
-    let gap = low.max(zero - high).max(zero).scale(inverse);
-    let [x, y, z] = local.rows[2];
-    let rise = V8::splat([x.abs(), y.abs(), z.abs()]).dot(extent);
+    let gap = low.max(zero - high).max(zero);
+    let rise = V8::splat(local.up().map(f32::abs)).dot(extent);
     // Empty slots have infinite gaps.
     let near = gap.dot(gap).le(F8::splat(1.0 + 1e-5));
     let alive = near & F8::ZERO.le(center.z + rise * F8::splat(1.0 + 1e-5));
-    (LocalBoxes { low, high, center, half_diagonal2: extent.dot(extent) * inverse * inverse }, alive)
+    (LocalBoxes { low, high, center, half_diagonal2: extent.dot(extent) }, alive)
 }

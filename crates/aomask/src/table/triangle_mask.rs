@@ -9,40 +9,46 @@ use super::{
     plane::PlaneTable,
 };
 use crate::Sides;
-use umbrage_geom::{
-    Frame,
-    glam::{DVec3, Vec3},
-    kernel::TriangleBlock,
-};
+use umbrage_geom::{Frame, glam::Vec3, kernel::TriangleBlock};
 
 /// Coordinates, in radii, up to which products of four stay far from the largest `f32`; beyond, `f64` is used.
 const LARGE: f32 = 1e9;
 
-/// World space to the pattern's axes at a receiver, in radii.
+/// The surroundings of a receiver in radii, and the pattern's axes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Local {
-    pub(crate) origin: [f32; 3],
-    /// Rows, each divided by the radius.
-    pub(crate) rows: [[f32; 3]; 3],
+    origin: [f32; 3],
+    /// One over the radius.
+    inverse: f32,
+    /// Tangent, bitangent and normal.
+    axes: [[f32; 3]; 3],
 }
 
 impl Local {
     pub(crate) fn new(origin: Vec3, frame: &Frame, radius: f32) -> Self {
-        let rows = [frame.tangent, frame.bitangent, frame.normal].map(|v| (v / radius).to_array());
-        Self { origin: origin.to_array(), rows }
+        let axes = [frame.tangent, frame.bitangent, frame.normal].map(|v| v.to_array());
+        Self { origin: origin.to_array(), inverse: 1.0 / radius, axes }
     }
 
-    /// Turns and scales vectors.
+    /// Points around the receiver, in radii, world axes.
     #[inline(always)]
-    pub(crate) fn vectors(&self, v: V8) -> V8 {
-        let [x, y, z] = self.rows;
+    pub(crate) fn points(&self, rows: &[[f32; 8]; 3]) -> V8 {
+        (V8::from_rows(rows) - V8::splat(self.origin)).scale(F8::splat(self.inverse))
+    }
+
+    /// Turns vectors from the world's axes to the pattern's.
+    ///
+    /// Done last: what is computed in the world's axes keeps the precision that flat and axis-parallel things have there.
+    #[inline(always)]
+    pub(crate) fn turn(&self, v: V8) -> V8 {
+        let [x, y, z] = self.axes;
         V8::new(V8::splat(x).dot(v), V8::splat(y).dot(v), V8::splat(z).dot(v))
     }
 
-    /// Moves, turns and scales points.
+    /// The pattern's axis along the normal.
     #[inline(always)]
-    fn points(&self, p: &[[f32; 8]; 3]) -> V8 {
-        self.vectors(V8::from_rows(p) - V8::splat(self.origin))
+    pub(crate) fn up(&self) -> [f32; 3] {
+        self.axes[2]
     }
 }
 
@@ -51,9 +57,9 @@ pub(crate) struct Triangles {
     pub(crate) alive: u32,
     /// Lanes left after each of the four culling tests.
     pub(crate) after: [u32; 4],
-    /// Planes through the receiver and each edge: inward normals.
+    /// Planes through the receiver and each edge: inward normals, world axes.
     edges: [V8; 3],
-    /// The triangles' planes: normals away from the receiver, and distances in radii.
+    /// The triangles' planes: normals away from the receiver, world axes, and distances in radii.
     normals: V8,
     distances: F8,
     /// Lanes whose numbers are too large for the above.
@@ -67,11 +73,13 @@ impl Triangles {
         let corners = block.corners();
         let (a, b, c) = (local.points(&corners[0]), local.points(&corners[1]), local.points(&corners[2]));
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        let up = V8::splat(local.up());
+        let top = a.dot(up).max(b.dot(up)).max(c.dot(up));
         // Unused lanes are not a number.
         let used = high.z.le(F8::splat(f32::INFINITY));
         let large = F8::splat(LARGE).le(low.abs().max(high.abs()).largest()) & used;
         // 1. All vertices below the horizon.
-        let above = F8::ZERO.lt(high.z) & used;
+        let above = F8::ZERO.lt(top) & used;
         // 2. One-sided and facing away. Triangles whose plane holds the receiver block nothing.
         let normals = (b - a).cross(c - a);
         let heights = normals.dot(a);
@@ -111,8 +119,9 @@ impl Triangles {
             self.redo_large(block, local, sides);
         }
         let [e0, e1, e2] = self.edges;
-        let (e0, e1, e2) = (edge_table.cells(e0), edge_table.cells(e1), edge_table.cells(e2));
-        let planes = plane_table.cells(self.normals, self.distances);
+        let edge_cells = |normals| edge_table.cells(local.turn(normals));
+        let (e0, e1, e2) = (edge_cells(e0), edge_cells(e1), edge_cells(e2));
+        let planes = plane_table.cells(local.turn(self.normals), self.distances);
         let mut left = self.alive;
         while left != 0 {
             let i = left.trailing_zeros() as usize % 8;
@@ -127,11 +136,9 @@ impl Triangles {
     #[cold]
     fn redo_large(&mut self, block: &TriangleBlock, local: &Local, sides: Sides) {
         for i in (0..8).filter(|i| self.large >> i & 1 == 1) {
-            let [a, b, c] = block.get(i).map(|p| {
-                let v = Vec3::from(p).as_dvec3() - Vec3::from(local.origin).as_dvec3();
-                let row = |r: [f32; 3]| Vec3::from(r).as_dvec3().dot(v);
-                DVec3::new(row(local.rows[0]), row(local.rows[1]), row(local.rows[2]))
-            });
+            let origin = Vec3::from(local.origin).as_dvec3();
+            let [a, b, c] =
+                block.get(i).map(|p| (Vec3::from(p).as_dvec3() - origin) * f64::from(local.inverse));
             let size = a.abs().max(b.abs()).max(c.abs()).max_element();
             let normal = (b - a).cross(c - a).normalize_or_zero();
             let height = normal.dot(a);
@@ -139,7 +146,9 @@ impl Triangles {
                 Sides::Both => height != 0.0,
                 Sides::Front => height < 0.0,
             };
-            if a.z.max(b.z).max(c.z) <= 0.0 || !faces || height.abs() > 1.0 || !size.is_finite() {
+            let up = Vec3::from(local.up()).as_dvec3();
+            let top = a.dot(up).max(b.dot(up)).max(c.dot(up));
+            if top <= 0.0 || !faces || height.abs() > 1.0 {
                 self.alive &= !(1 << i);
                 continue;
             }
