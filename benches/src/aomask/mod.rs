@@ -44,27 +44,39 @@ const TARGET_RAYS: [u32; 3] = [128, 256, 1024];
 const TARGET_RADII: [f64; 3] = [0.01, 0.03, 0.1];
 const TARGET_SCENES: [&str; 7] = ["bunny", "armadillo", "dragon", "sibenik", "city", "bush", "hairball"];
 
-/// Rays and radii of table 1: world units in sibenik, fractions of the diagonal elsewhere, where the paper's units are
-/// unknown. Its million rays a second, GeForce GTX 480, by method (`mask-raster`, `mask-table`, `rays`), for 128 and 1024 rays at
-/// the first radius and the second.
-const TABLE1: [(&str, [f64; 2], [[[f64; 3]; 2]; 2]); 3] = [
-    (
-        "sibenik",
-        [0.75, 2.25],
-        [[[1874.0, 2251.0, 323.0], [2149.0, 2498.0, 323.0]], [[323.0, 649.0, 261.0], [328.0, 585.0, 260.0]]],
-    ),
-    (
-        "city",
-        [0.01, 0.03],
-        [[[670.0, 3007.0, 272.0], [2076.0, 4181.0, 273.0]], [[339.0, 1285.0, 241.0], [493.0, 1467.0, 242.0]]],
-    ),
-    (
-        "hairball",
-        [0.01, 0.03],
-        [[[128.0, 795.0, 52.0], [112.0, 1320.0, 43.0]], [[32.0, 145.0, 27.0], [36.0, 156.0, 23.0]]],
-    ),
+/// A scene of table 1.
+struct Table1 {
+    scene: &'static str,
+    /// World units in sibenik, fractions of the diagonal elsewhere, where the paper's units are unknown.
+    radii: [f64; 2],
+    /// The paper's million rays a second on a GeForce GTX 480, by radius, 128 or 1024 rays, and [`TABLE1_METHODS`].
+    mrays_s: [[[f64; 3]; 2]; 2],
+}
+
+const TABLE1: [Table1; 3] = [
+    Table1 {
+        scene: "sibenik",
+        radii: [0.75, 2.25],
+        mrays_s: [
+            [[1874.0, 2251.0, 323.0], [2149.0, 2498.0, 323.0]],
+            [[323.0, 649.0, 261.0], [328.0, 585.0, 260.0]],
+        ],
+    },
+    Table1 {
+        scene: "city",
+        radii: [0.01, 0.03],
+        mrays_s: [
+            [[670.0, 3007.0, 272.0], [2076.0, 4181.0, 273.0]],
+            [[339.0, 1285.0, 241.0], [493.0, 1467.0, 242.0]],
+        ],
+    },
+    Table1 {
+        scene: "hairball",
+        radii: [0.01, 0.03],
+        mrays_s: [[[128.0, 795.0, 52.0], [112.0, 1320.0, 43.0]], [[32.0, 145.0, 27.0], [36.0, 156.0, 23.0]]],
+    },
 ];
-/// Order of methods in the figures above.
+/// Order of methods in [`Table1::mrays_s`].
 const TABLE1_METHODS: [&str; 3] = ["mask-raster", "mask-table", "rays"];
 
 /// A scene with everything built on it.
@@ -127,9 +139,9 @@ fn targets(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
 
 /// [Laine10], table 1: what a camera sees, two radii, 128 and 1024 rays.
 fn table1(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
-    let Some((_, radii, paper)) = TABLE1.iter().find(|(name, ..)| *name == case.name) else { return Ok(()) };
+    let Some(table) = TABLE1.iter().find(|table| table.scene == case.name) else { return Ok(()) };
     let unit = if case.name == "sibenik" { 1.0 } else { f64::from(case.mesh.bounds().diagonal()) };
-    for (radius, paper) in radii.iter().zip(paper) {
+    for (radius, paper) in table.radii.iter().zip(table.mrays_s) {
         for (rays, paper) in [128, 1024].into_iter().zip(paper) {
             let pattern = Pattern::new(&PatternOptions::default().with_rays(rays))?;
             let params = json!({ "part": "table1", "rays": rays, "radius": radius });

@@ -26,12 +26,12 @@ pub(super) fn disc_points(n: usize, seed: u32) -> Vec<DVec2> {
     let mut points: Vec<DVec2> = (0..n).map(|i| concentric_disc(square(i)).as_dvec2()).collect();
     let mut cells = Cells::new(n);
     for _ in 0..RELAX {
-        cells.step(&mut points, |cell| centroid(cell));
+        cells.step(&mut points, centroid);
     }
     let mut random = RandomStream::new(seed, n as u32);
     cells.step(&mut points, |cell| random_point(cell, &mut random));
     for _ in 0..RELAX_AGAIN {
-        cells.step(&mut points, |cell| centroid(cell));
+        cells.step(&mut points, centroid);
     }
     points
 }

@@ -78,7 +78,7 @@ impl PatternOptions {
     }
 
     fn validate(&self) -> Result<(), MaskError> {
-        if self.rays == 0 || self.rays > Pattern::MAX_RAYS || self.rays % UNIT as u32 != 0 {
+        if self.rays == 0 || self.rays > Pattern::MAX_RAYS || !self.rays.is_multiple_of(UNIT as u32) {
             return Err(MaskError::Rays(self.rays));
         }
         for (what, value, limit) in [("rotation", self.rotation, 1.0), ("tilt", self.tilt, 0.95)] {

@@ -74,7 +74,7 @@ impl<const W: usize> EdgeTable<W> {
         let u = y.select(x_first, z.select(y_first, x));
         let v = z.select(x_first, x.select(y_first, y));
         let mut face = [0; 8];
-        for i in 0..8 {
+        for (i, face) in face.iter_mut().enumerate() {
             let axis = if x_first >> i & 1 == 1 {
                 0
             } else if y_first >> i & 1 == 1 {
@@ -82,7 +82,7 @@ impl<const W: usize> EdgeTable<W> {
             } else {
                 4
             };
-            face[i] = axis + (main.0[i].to_bits() >> 31);
+            *face = axis + (main.0[i].to_bits() >> 31);
         }
         let half = F8::splat(0.5 * (self.resolution - 1) as f32);
         let scale = half / main.abs();

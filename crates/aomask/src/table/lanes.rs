@@ -116,8 +116,8 @@ impl F8 {
         // In numbers from 2^23 on, the last bit of the significand counts ones.
         const ONES: f32 = (1u32 << 23) as f32;
         let mut out = [0; 8];
-        for i in 0..8 {
-            out[i] = (self.0[i] + ONES).to_bits() & 0x7f_ffff;
+        for (i, out) in out.iter_mut().enumerate() {
+            *out = (self.0[i] + ONES).to_bits() & 0x7f_ffff;
         }
         U8(out)
     }

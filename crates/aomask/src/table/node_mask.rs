@@ -98,13 +98,10 @@ impl Silhouettes {
 /// The edges between a face that the eye sees and one that it does not.
 fn silhouette(codes: [usize; 3]) -> Vec<[usize; 2]> {
     let mut edges: Vec<[usize; 2]> = Vec::new();
-    for axis in 0..3 {
-        if codes[axis] == 0 {
-            continue;
-        }
+    for (axis, code) in codes.into_iter().enumerate().filter(|&(_, code)| code != 0) {
         let (u, v) = (1 << ((axis + 1) % 3), 1 << ((axis + 2) % 3));
         // Below the lower face, or above the upper: that face is seen, `u`, `v` clockwise or not.
-        let upper = codes[axis] == 2;
+        let upper = code == 2;
         let side = if upper { 1 << axis } else { 0 };
         let mut face = [side, side | u, side | u | v, side | v];
         if upper {

@@ -117,14 +117,9 @@ impl<const W: usize> Job for Layer<'_, W> {
         for (i, cell) in self.layer.iter_mut().enumerate() {
             let q = Vec3::new(coordinate(i % self.side), coordinate(i / self.side), coordinate(self.z));
             // The surface is met exactly: planes through the receiver.
-            let distance = if i % self.side % (self.side - 1) == 0
-                || i / self.side % (self.side - 1) == 0
-                || self.z % (self.side - 1) == 0
-            {
-                0.0
-            } else {
-                (1.0 - q.abs().max_element()) / DEPTH
-            };
+            let outermost = |i: usize| i == 0 || i == self.side - 1;
+            let on_surface = outermost(i % self.side) || outermost(i / self.side) || outermost(self.z);
+            let distance = if on_surface { 0.0 } else { (1.0 - q.abs().max_element()) / DEPTH };
             // Cells in the middle belong to no plane within the radius.
             if distance <= 1.0 + 2.0 * step {
                 *cell = self.rays.beyond(q.normalize_or_zero(), distance);
