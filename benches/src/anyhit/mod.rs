@@ -5,7 +5,7 @@
 //! against `bvh`, and `bvh` against each peer asked for.
 
 mod measure;
-mod ours;
+pub mod ours;
 mod workloads;
 
 use self::{measure::Setting, ours::Ours, workloads::Case};

@@ -33,6 +33,11 @@ impl Ours {
         Ok(Self { name, scalar, bvh, build_s })
     }
 
+    /// The hierarchy.
+    pub fn bvh(&self) -> &Bvh {
+        &self.bvh
+    }
+
     /// Any hit of a slice and, but for the slow scalar form, ray by ray.
     pub fn any_hit<'a>(&'a self, rays: &'a [Ray]) -> Vec<Box<dyn Entry<bool> + 'a>> {
         let calls: &[bool] = if self.scalar { &[true] } else { &[true, false] };

@@ -13,6 +13,7 @@ mod packet;
 mod statistics;
 mod topology;
 mod traversal;
+mod view;
 
 pub use bvh::{Bvh, Hit};
 pub use error::BuildError;
@@ -20,3 +21,4 @@ pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, obj
 pub use kernel::BackEnd;
 pub use options::{BuildOptions, BuildQuality};
 pub use statistics::{Counters, Statistics};
+pub use view::{Child, NodeView, View};

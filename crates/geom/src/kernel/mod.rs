@@ -129,6 +129,12 @@ impl TriangleBlock {
             [self.vertices[0][vertex], self.vertices[1][vertex], self.vertices[2][vertex]]
         })
     }
+
+    /// All corners by corner, axis, lane; NaN in unused lanes.
+    #[inline]
+    pub fn corners(&self) -> &[[[f32; LANES]; 3]; 3] {
+        &self.corners
+    }
 }
 
 /// What a filter says about a block, one bit per lane. A lane in neither mask is certainly not hit, or unused.
