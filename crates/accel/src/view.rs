@@ -4,14 +4,14 @@ use crate::{
     Bvh,
     node::{LEAF, Node, WIDTH},
 };
-use umbrage_geom::kernel::{LANES, TriangleBlock};
+use umbrage_geom::kernel::TriangleBlock;
 
 /// Nodes and leaves of a [`Bvh`]. Node 0 is the root; children come after their parents.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
     nodes: &'a [Node],
     blocks: &'a [TriangleBlock],
-    prims: &'a [[u32; LANES]],
+    prims: &'a [u32],
 }
 
 /// One node of eight slots.
@@ -59,7 +59,7 @@ impl<'a> View<'a> {
         NodeView(&self.nodes[index as usize])
     }
 
-    /// Corners of the triangles of leaf `index`; unused lanes come last and are NaN.
+    /// Triangles of leaf `index`.
     ///
     /// # Panics
     /// If there is no such leaf.
@@ -68,21 +68,29 @@ impl<'a> View<'a> {
         &self.blocks[index as usize]
     }
 
-    /// Index of each lane's triangle in the caller's array; `u32::MAX` in unused lanes, which come last.
+    /// Index of each lane's triangle in the caller's array.
     ///
     /// # Panics
     /// If there is no such leaf.
     #[inline(always)]
-    pub fn prims(self, leaf: u32) -> &'a [u32; LANES] {
-        &self.prims[leaf as usize]
+    pub fn prims(self, leaf: u32) -> &'a [u32] {
+        let block = &self.blocks[leaf as usize];
+        let first = block.tag as usize;
+        &self.prims[first..first + block.len()]
     }
 }
 
 impl<'a> NodeView<'a> {
-    /// Boxes of the children, one a lane, in rows: smallest x, largest x, smallest y, ..; `[inf, -inf]` in empty slots.
+    /// Boxes of the children, one a lane, in rows: smallest x, largest x, smallest y, ..; of no meaning in empty slots.
     #[inline(always)]
-    pub fn bounds(self) -> &'a [[f32; WIDTH]; 6] {
-        &self.0.bounds
+    pub fn bounds(self) -> [[f32; WIDTH]; 6] {
+        [0, 1, 2, 3, 4, 5].map(|row| self.0.row(row))
+    }
+
+    /// One bit for each slot in use.
+    #[inline(always)]
+    pub fn used(self) -> u32 {
+        self.0.used
     }
 
     /// What `slot` (below 8) holds; must not be asked of empty slots, which come last.
@@ -123,9 +131,7 @@ mod tests {
                     Child::Node(child) => stack.push(child),
                     Child::Leaf(leaf) => {
                         visited[1] += 1;
-                        for (lane, &prim) in
-                            view.prims(leaf).iter().enumerate().filter(|&(_, &p)| p != u32::MAX)
-                        {
+                        for (lane, &prim) in view.prims(leaf).iter().enumerate() {
                             found[prim as usize] += 1;
                             let corners = view.leaf(leaf).get(lane);
                             assert_eq!(corners, triangles[prim as usize].map(|v| positions[v as usize]));

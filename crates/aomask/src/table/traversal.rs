@@ -96,7 +96,7 @@ impl<const W: usize> Scene<'_, W> {
         stats: &mut S,
     ) {
         let node = self.view.node(index);
-        let (boxes, alive) = hemisphere(node.bounds(), local);
+        let (boxes, alive) = hemisphere(node.bounds(), node.used(), local);
         stats.node(node.len() as u32, alive.count_ones());
         let mut order = [(0u32, 0usize); 8];
         let mut masks = [[0; W]; 8];
@@ -135,7 +135,7 @@ impl<const W: usize> Scene<'_, W> {
         let block = self.view.leaf(index);
         let mut triangles = Triangles::new(block, local, self.sides);
         if S::COUNTS {
-            let used = self.view.prims(index).iter().filter(|&&p| p != u32::MAX).count() as u32;
+            let used = block.len() as u32;
             stats.leaf(used, triangles.after.map(u32::count_ones));
         }
         if triangles.alive != 0 {
@@ -150,8 +150,8 @@ impl<const W: usize> Scene<'_, W> {
 
 /// Children whose boxes meet the hemisphere: not beyond the radius, not wholly below the horizon.
 #[inline(always)]
-fn hemisphere(bounds: &[[f32; 8]; 6], local: &Local) -> (LocalBoxes, u32) {
-    let [x0, x1, y0, y1, z0, z1] = *bounds;
+fn hemisphere(bounds: [[f32; 8]; 6], used: u32, local: &Local) -> (LocalBoxes, u32) {
+    let [x0, x1, y0, y1, z0, z1] = bounds;
     let (low, high) = (local.points(&[x0, y0, z0]), local.points(&[x1, y1, z1]));
     let half = F8::splat(0.5);
     let center = local.turn((low + high).scale(half));
@@ -159,8 +159,7 @@ fn hemisphere(bounds: &[[f32; 8]; 6], local: &Local) -> (LocalBoxes, u32) {
     let zero = V8::splat([0.0; 3]);
     let gap = low.max(zero - high).max(zero);
     let rise = V8::splat(local.up().map(f32::abs)).dot(extent);
-    // Empty slots have infinite gaps.
     let near = gap.dot(gap).le(F8::splat(1.0 + 1e-5));
-    let alive = near & F8::ZERO.le(center.z + rise * F8::splat(1.0 + 1e-5));
+    let alive = used & near & F8::ZERO.le(center.z + rise * F8::splat(1.0 + 1e-5));
     (LocalBoxes { low, high, center, half_diagonal2: extent.dot(extent) }, alive)
 }

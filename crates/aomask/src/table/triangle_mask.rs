@@ -70,7 +70,7 @@ impl Triangles {
     /// Puts the triangles of `block` through the culling tests.
     #[inline(always)]
     pub(crate) fn new(block: &TriangleBlock, local: &Local, sides: Sides) -> Self {
-        let corners = block.corners();
+        let corners = &block.corners();
         let (a, b, c) = (local.points(&corners[0]), local.points(&corners[1]), local.points(&corners[2]));
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
         let up = V8::splat(local.up());

@@ -131,9 +131,17 @@ impl TriangleBlock {
     }
 
     /// All corners by corner, axis, lane; NaN in unused lanes.
-    #[inline]
-    pub fn corners(&self) -> &[[[f32; LANES]; 3]; 3] {
-        &self.corners
+    #[inline(always)]
+    pub fn corners(&self) -> [[[f32; LANES]; 3]; 3] {
+        self.corners.map(|vertices| {
+            self.vertices.map(|row| {
+                let mut lanes = vertices.map(|vertex| row[usize::from(vertex) % LANES]);
+                for (lane, x) in lanes.iter_mut().enumerate() {
+                    *x = if lane < self.len() { *x } else { f32::NAN };
+                }
+                lanes
+            })
+        })
     }
 }
 
