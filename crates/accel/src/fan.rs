@@ -5,17 +5,17 @@
 
 use crate::{
     Bvh, Statistics,
-    kernel::{FAN, Kernel, Rows, Stack},
+    kernel::{Ahead, FAN, Kernel, Rows, Stack},
     node::{LEAF, Node, WIDTH},
     packet::PACKET,
     traversal,
 };
 use std::ops::Range;
 use umbrage_geom::{
-    OpticalDepth, Ray,
+    Aabb, OpticalDepth, Ray,
     kernel::{
         BlockMask, LANES,
-        fan::{CHUNK, FanRays},
+        fan::{CHUNK, FanRays, slab_inverse},
     },
     segment_hits_triangle,
 };
@@ -82,6 +82,29 @@ impl Iterator for Parts<'_> {
     }
 }
 
+#[inline(always)]
+fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// Halves by halves, so that it is SIMD.
+#[inline(always)]
+fn fold<T: Copy>(mut row: [T; CHUNK], f: impl Fn(T, T) -> T) -> T {
+    let mut half = CHUNK / 2;
+    while half > 0 {
+        for i in 0..half {
+            row[i] = f(row[i], row[i + half]);
+        }
+        half /= 2;
+    }
+    row[0]
+}
+
 /// What a whole fan can't reach.
 ///
 /// A ray that is, on each axis where all directions have one sign, as slow as the slowest towards near planes and as fast
@@ -91,48 +114,52 @@ struct Envelope {
     ray: FanRays<1>,
     /// On how many axes all directions have one sign.
     axes: usize,
+    /// Of all directions.
+    sum: [f32; 3],
     /// Box around all segments, relative to the origin, if it is finite.
     extent: Option<[[f32; 3]; 2]>,
 }
 
 impl Envelope {
+    /// For the rays in `fit`, of the first `len`.
     #[inline(always)]
     fn new(fan: &FanRays<FAN>, fit: u32, len: usize) -> Self {
         let mut ray = FanRays::<1>::default();
         let mut extent = [[0f32; 3]; 2];
-        let mut axes = 0;
-        let columns = len.next_multiple_of(CHUNK).min(FAN);
+        let (mut axes, mut sum) = (0, [0.0; 3]);
         for axis in 0..3 {
-            let (mut slowest, mut fastest) = ([f32::INFINITY; CHUNK], [0f32; CHUNK]);
-            let (mut low, mut high) = ([0f32; CHUNK], [0f32; CHUNK]);
-            let (mut negative, mut positive) = ([0u32; CHUNK], [0u32; CHUNK]);
-            for at in (0..columns).step_by(CHUNK) {
+            // Sizes of directions, ends of segments, and sign bits: those set in all, those set in any.
+            let (mut least, mut most) = ([f32::INFINITY; CHUNK], [0f32; CHUNK]);
+            let (mut low, mut high, mut total) = ([0f32; CHUNK], [0f32; CHUNK], [0f32; CHUNK]);
+            let (mut all, mut any) = ([1u32; CHUNK], [0u32; CHUNK]);
+            for at in (0..len.min(FAN)).step_by(CHUNK) {
                 for i in 0..CHUNK {
                     let r = (at + i) % FAN;
-                    let idle = (fit >> r & 1 == 0) as u32;
-                    let (near, far) = (fan.inv_near[axis][r].abs(), fan.inv_far[axis][r].abs());
-                    let near = if idle != 0 { f32::INFINITY } else { near };
-                    let far = if idle != 0 { 0.0 } else { far };
-                    let end = fan.direction[axis][r] * fan.far[r];
+                    let idle = fit >> r & 1 == 0;
+                    let direction = fan.direction[axis][r];
+                    let size = direction.abs();
                     // 0 times infinity stays where it is.
-                    let end = if idle != 0 || fan.direction[axis][r] == 0.0 { 0.0 } else { end };
-                    slowest[i] = if near < slowest[i] { near } else { slowest[i] };
-                    fastest[i] = if far > fastest[i] { far } else { fastest[i] };
-                    low[i] = if end < low[i] { end } else { low[i] };
-                    high[i] = if end > high[i] { end } else { high[i] };
-                    negative[i] |= fan.negative[axis][r] & (idle ^ 1);
-                    positive[i] |= (fan.negative[axis][r] ^ 1) & (idle ^ 1);
+                    let end = if idle || direction == 0.0 { 0.0 } else { direction * fan.far[r] };
+                    let (small, large) = if idle { (f32::INFINITY, 0.0) } else { (size, size) };
+                    least[i] = smaller(least[i], small);
+                    most[i] = larger(most[i], large);
+                    total[i] += if idle { 0.0 } else { direction };
+                    low[i] = smaller(low[i], end);
+                    high[i] = larger(high[i], end);
+                    let negative = fan.negative[axis][r];
+                    all[i] &= if idle { 1 } else { negative };
+                    any[i] |= if idle { 0 } else { negative };
                 }
             }
-            let fold = |row: [f32; CHUNK], f: fn(f32, f32) -> f32| row.into_iter().reduce(f).unwrap_or(0.0);
-            let smaller = |a: f32, b: f32| if a < b { a } else { b };
-            let larger = |a: f32, b: f32| if a > b { a } else { b };
-            let any = |row: [u32; CHUNK]| row.into_iter().fold(0, |a, b| a | b) != 0;
-            let one_sign = !(any(negative) && any(positive));
-            let sign = if any(negative) { -1.0 } else { 1.0 };
-            ray.negative[axis] = [u32::from(any(negative))];
-            ray.inv_near[axis] = [if one_sign { sign * fold(slowest, smaller) } else { 0.0 }];
-            ray.inv_far[axis] = [if one_sign { sign * fold(fastest, larger) } else { f32::NAN }];
+            let (least, most) = (fold(least, smaller), fold(most, larger));
+            let (all, any) = (fold(all, |a, b| a & b), fold(any, |a, b| a | b));
+            sum[axis] = fold(total, |a, b| a + b);
+            let one_sign = all == any;
+            let sign = if any != 0 { -1.0 } else { 1.0 };
+            ray.negative[axis] = [any];
+            let (slowest, fastest) = (slab_inverse(most)[0], slab_inverse(least)[1]);
+            ray.inv_near[axis] = [if one_sign { sign * slowest } else { 0.0 }];
+            ray.inv_far[axis] = [if one_sign { sign * fastest } else { f32::NAN }];
             axes += usize::from(one_sign);
             // Two roundings, and one of the box's plane.
             extent[0][axis] = fold(low, smaller) * (1.0 + 2f32.powi(-20)) - f32::MIN_POSITIVE;
@@ -141,7 +168,7 @@ impl Envelope {
         ray.slab_near = [0.0];
         ray.slab_far = [f32::INFINITY];
         let finite = extent.as_flattened().iter().all(|x| x.is_finite());
-        Self { ray, axes, extent: finite.then_some(extent) }
+        Self { ray, axes, sum, extent: finite.then_some(extent) }
     }
 
     /// Children that some ray may enter.
@@ -170,6 +197,7 @@ struct Walk {
     /// Rays that still look.
     alive: u32,
     origin: [f32; 3],
+    ahead: Ahead,
     envelope: Envelope,
     /// Whether the envelope may exclude anything.
     narrow: bool,
@@ -182,12 +210,13 @@ impl Walk {
         let fan = FanRays::default();
         let envelope = Envelope::new(&fan, 0, 0);
         let (stack, origin) = (Stack::new(), [0.0; 3]);
-        Self { fan, stack, top: 0, alive: 0, origin, envelope, narrow: false, first: 0 }
+        let ahead = Ahead::new(origin, [origin; 2]);
+        Self { fan, stack, top: 0, alive: 0, origin, ahead, envelope, narrow: false, first: 0 }
     }
 
     /// Takes up `rays` of one origin; returns those that it can answer.
     #[inline(always)]
-    fn start(&mut self, first: usize, rays: &[Ray]) -> u32 {
+    fn start(&mut self, first: usize, rays: &[Ray], bounds: &Aabb) -> u32 {
         let mut fit = 0;
         if rays[0].origin.is_finite() {
             for (i, chunk) in rays.chunks(CHUNK).enumerate() {
@@ -197,6 +226,8 @@ impl Walk {
         self.origin = rays[0].origin.to_array();
         self.first = first;
         self.envelope = Envelope::new(&self.fan, fit, rays.len());
+        let relative = [bounds.min - rays[0].origin, bounds.max - rays[0].origin].map(|v| v.to_array());
+        self.ahead = Ahead::new(self.envelope.sum, relative);
         self.narrow = self.envelope.extent.is_some() || self.envelope.axes > 1;
         self.alive = fit;
         self.top = usize::from(fit != 0);
@@ -240,8 +271,16 @@ impl Walk {
             self.top += usize::from(wanted != 0);
         } else {
             stats.node(node.len() as u32);
-            self.top =
-                kernel.fan_push(&node.children, &rows, &self.fan, mask, wanted, &mut self.stack, bottom);
+            self.top = kernel.fan_push(
+                &node.children,
+                &rows,
+                &self.fan,
+                &self.ahead,
+                mask,
+                wanted,
+                &mut self.stack,
+                bottom,
+            );
         }
         // Without a loop over what was pushed, whose length nothing predicts.
         for &child in &self.stack.children[self.top.saturating_sub(3)..self.top] {
@@ -301,7 +340,7 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
         while busy < TURNS {
             match parts.next() {
                 Some(Part::Fan(range)) => {
-                    let fit = walks[turns[busy]].start(range.start, &rays[range.clone()]);
+                    let fit = walks[turns[busy]].start(range.start, &rays[range.clone()], &bvh.tree.bounds);
                     for index in range.clone().filter(|index| fit >> (index - range.start) & 1 == 0) {
                         goal.alone(kernel, bvh, index, stats);
                     }

@@ -119,7 +119,7 @@ fn agrees(bvh: &Bvh, (positions, triangles): &Soup, rays: &[Ray]) -> Result<(), 
         let fan: Vec<Ray> = rays.iter().map(|ray| Ray { origin, ..*ray }).chain([invalid]).collect();
         let many: Vec<Ray> = rays.iter().chain(&fan).chain(&fan).cycle().take(150).copied().collect();
         let like = |ray: &Ray, i: usize, tfar: f32| {
-            let turn = Vec3::from([0, 5, 10].map(|bits| (i as u32 * 40_503 >> bits) as f32 % 32.0 / 64.0));
+            let turn = Vec3::from([0, 5, 10].map(|bits| ((i as u32 * 40_503) >> bits) as f32 % 32.0 / 64.0));
             Ray { direction: ray.direction * (Vec3::ONE + turn), tfar, ..*ray }
         };
         let narrow: Vec<Ray> = (0..100).map(|i| like(&rays[i / 25 % rays.len()], i, f32::INFINITY)).collect();

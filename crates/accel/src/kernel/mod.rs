@@ -53,6 +53,34 @@ impl Prepared {
 #[repr(C, align(64))]
 pub(crate) struct Rows(pub(crate) [[f32; WIDTH]; 6]);
 
+/// How far ahead of a fan something is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ahead {
+    /// The mean direction, scaled.
+    pub(crate) direction: [f32; 3],
+    pub(crate) offset: f32,
+}
+
+impl Ahead {
+    /// Most that counts; all of it is below the difference of one ray.
+    pub(crate) const MOST: f32 = 0.999;
+
+    /// From a sum of directions and the box of the scene, relative to the fan's origin: 0 where the scene starts, about 1
+    /// where it ends.
+    #[inline(always)]
+    pub(crate) fn new(sum: [f32; 3], [low, high]: [[f32; 3]; 2]) -> Self {
+        let (mut start, mut range) = (0.0, f32::MIN_POSITIVE);
+        for axis in 0..3 {
+            let nearest = if sum[axis] > 0.0 { low[axis] } else { high[axis] };
+            start += sum[axis] * nearest;
+            range += sum[axis].abs() * (high[axis] - low[axis]);
+        }
+        // Boxes are given by their middle, twice.
+        let scale = 0.5 / range;
+        Self { direction: sum.map(|x| x * scale), offset: -2.0 * start * scale }
+    }
+}
+
 /// Entries of [`Stack`]: the most that a walk can push, and room for writing a whole node at once.
 const STACK: usize = (WIDTH - 1) * MAX_LEVELS + 1 + WIDTH;
 
@@ -100,14 +128,15 @@ pub(crate) trait Kernel: Copy {
     /// See [`umbrage_geom::kernel::fan`].
     fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask;
 
-    /// Pushes those of the `wanted` children that some ray in `left` may enter, each with the rays that may, smaller boxes
-    /// first. Returns the new height of the stack.
+    /// Pushes those of the `wanted` children that some ray in `left` may enter, each with the rays that may: those that many
+    /// rays enter last, among equals the nearest. Returns the new height of the stack.
     #[allow(clippy::too_many_arguments)] // the state of one loop
     fn fan_push(
         self,
         children: &[u32; WIDTH],
         rows: &Rows,
         rays: &FanRays<FAN>,
+        ahead: &Ahead,
         left: u32,
         wanted: u32,
         stack: &mut Stack,

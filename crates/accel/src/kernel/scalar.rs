@@ -1,6 +1,6 @@
 //! The oracle: plain operations, one child at a time.
 
-use super::{FAN, Kernel, NodeRay, Rows, Stack};
+use super::{Ahead, FAN, Kernel, NodeRay, Rows, Stack};
 use crate::node::{Node, WIDTH};
 use umbrage_geom::kernel::{
     BlockMask, BlockRay, TriangleBlock,
@@ -90,6 +90,7 @@ impl Kernel for Scalar {
         children: &[u32; WIDTH],
         rows: &Rows,
         rays: &FanRays<FAN>,
+        ahead: &Ahead,
         left: u32,
         wanted: u32,
         stack: &mut Stack,
@@ -100,8 +101,22 @@ impl Kernel for Scalar {
             let entered = self.fan_mask(rows, rays, r) & wanted;
             columns.iter_mut().enumerate().for_each(|(i, column)| *column |= (entered >> i & 1) << r);
         }
-        for (&child, column) in children.iter().zip(columns).rev().filter(|&(_, column)| column != 0) {
-            (stack.children[top], stack.rays[top]) = (child, column);
+        let key = |i: usize| {
+            let middle = [0, 1, 2].map(|axis| rows.0[2 * axis][i] + rows.0[2 * axis + 1][i]);
+            let [x, y, z] = [0, 1, 2].map(|axis| ahead.direction[axis] * middle[axis]);
+            columns[i].count_ones() as f32 - (x + y + z + ahead.offset).clamp(0.0, Ahead::MOST)
+        };
+        let (bottom, mut keys) = (top, [0.0; WIDTH]);
+        for i in (0..WIDTH).filter(|&i| columns[i] != 0) {
+            // Insertion, the largest key on top.
+            let mut at = top;
+            while at > bottom && keys[at - 1 - bottom] > key(i) {
+                stack.children[at] = stack.children[at - 1];
+                stack.rays[at] = stack.rays[at - 1];
+                keys[at - bottom] = keys[at - 1 - bottom];
+                at -= 1;
+            }
+            (stack.children[at], stack.rays[at], keys[at - bottom]) = (children[i], columns[i], key(i));
             top += 1;
         }
         top

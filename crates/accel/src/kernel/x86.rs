@@ -1,6 +1,6 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::{Avx2, FAN, Job, Kernel, NodeRay, Rows, Stack};
+use super::{Ahead, Avx2, FAN, Job, Kernel, NodeRay, Rows, Stack};
 use crate::node::{Node, WIDTH};
 use std::arch::x86_64::*;
 use umbrage_geom::kernel::{
@@ -120,30 +120,45 @@ fn overlap(rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32 {
     _mm256_movemask_ps(reaches) as u32
 }
 
-/// For each set of lanes their numbers, highest first.
-static PACKED: [[u8; WIDTH]; 256] = {
-    let mut packed = [[0; WIDTH]; 256];
-    let mut mask = 0;
-    while mask < 256 {
-        let (mut lane, mut at) = (WIDTH, 0);
-        while lane > 0 {
-            lane -= 1;
-            if mask >> lane & 1 == 1 {
-                packed[mask][at] = lane as u8;
-                at += 1;
-            }
-        }
-        mask += 1;
+/// Number of set bits in each lane.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn count_ones(x: __m256i) -> __m256i {
+    let of_nibble =
+        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4));
+    let nibbles = _mm256_set1_epi8(0xf);
+    let low = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(x, nibbles));
+    let high = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(_mm256_srli_epi32::<4>(x), nibbles));
+    let pairs = _mm256_maddubs_epi16(_mm256_add_epi8(low, high), _mm256_set1_epi8(1));
+    _mm256_madd_epi16(pairs, _mm256_set1_epi16(1))
+}
+
+/// Sorts lanes, the smallest first: a network of six layers.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn sort(x: __m256i) -> __m256i {
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn exchange<const LARGER: i32>(x: __m256i, partner: __m256i) -> __m256i {
+        _mm256_blend_epi32::<LARGER>(_mm256_min_epu32(x, partner), _mm256_max_epu32(x, partner))
     }
-    packed
-};
+    let x = exchange::<0b1100_1100>(x, _mm256_shuffle_epi32::<0b01_00_11_10>(x));
+    let x = exchange::<0b1111_0000>(x, _mm256_permute2x128_si256::<1>(x, x));
+    let x = exchange::<0b1010_1010>(x, _mm256_shuffle_epi32::<0b10_11_00_01>(x));
+    let x = exchange::<0b0011_0000>(x, _mm256_permute4x64_epi64::<0b11_01_10_00>(x));
+    let x =
+        exchange::<0b0101_0000>(x, _mm256_permutevar8x32_epi32(x, _mm256_setr_epi32(0, 4, 2, 6, 1, 5, 3, 7)));
+    exchange::<0b0101_0100>(x, _mm256_permutevar8x32_epi32(x, _mm256_setr_epi32(0, 2, 1, 4, 3, 6, 5, 7)))
+}
 
 #[inline]
-#[target_feature(enable = "avx2,bmi1,popcnt")]
+#[target_feature(enable = "avx2,fma,bmi1,popcnt")]
+#[allow(clippy::too_many_arguments)] // the state of one loop
 fn fan_push(
     children: &[u32; WIDTH],
     rows: &Rows,
     rays: &FanRays<FAN>,
+    ahead: &Ahead,
     mut left: u32,
     wanted: u32,
     stack: &mut Stack,
@@ -157,19 +172,37 @@ fn fan_push(
         let entered = _mm256_castps_si256(fan_slabs(rows, rays, r as usize % FAN));
         columns = _mm256_or_si256(columns, _mm256_and_si256(entered, bit));
     }
-    let missed = _mm256_cmpeq_epi32(columns, _mm256_setzero_si256());
-    let mask = !(_mm256_movemask_ps(_mm256_castsi256_ps(missed)) as u32) & wanted % 256;
+    let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    let asked =
+        _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32(wanted as i32), lanes), _mm256_set1_epi32(1));
+    let dropped = _mm256_or_si256(
+        _mm256_cmpeq_epi32(columns, _mm256_setzero_si256()),
+        _mm256_cmpeq_epi32(asked, _mm256_setzero_si256()),
+    );
+    let mut way = _mm256_set1_ps(ahead.offset);
+    for axis in 0..3 {
+        // SAFETY: rows are eight floats, aligned as all of them are.
+        let (low, high) = unsafe {
+            (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
+        };
+        way = _mm256_fmadd_ps(_mm256_add_ps(low, high), _mm256_set1_ps(ahead.direction[axis]), way);
+    }
+    let way = _mm256_min_ps(_mm256_max_ps(way, _mm256_setzero_ps()), _mm256_set1_ps(Ahead::MOST));
+    // Bits of positive floats sort as integers; the lane takes the place of the lowest ones, what is dropped comes last.
+    let key = _mm256_castps_si256(_mm256_sub_ps(_mm256_cvtepi32_ps(count_ones(columns)), way));
+    let key = _mm256_or_si256(_mm256_andnot_si256(_mm256_set1_epi32(7), key), lanes);
+    let order = sort(_mm256_or_si256(key, dropped));
     assert!(top + WIDTH <= stack.rays.len(), "the tree has no more levels than the stack");
-    // SAFETY: rows of the table are eight bytes; eight entries from `top` are in the stack.
+    // SAFETY: eight entries from `top` are in the stack, and there are eight children.
     unsafe {
-        let order = _mm256_cvtepu8_epi32(_mm_loadl_epi64(PACKED[mask as usize].as_ptr().cast()));
         let children = _mm256_loadu_si256(children.as_ptr().cast());
         let children = _mm256_permutevar8x32_epi32(children, order);
         let columns = _mm256_permutevar8x32_epi32(columns, order);
         _mm256_storeu_si256(stack.children.as_mut_ptr().add(top).cast(), children);
         _mm256_storeu_si256(stack.rays.as_mut_ptr().add(top).cast(), columns);
     }
-    top + mask.count_ones() as usize
+    let dropped = _mm256_movemask_ps(_mm256_castsi256_ps(dropped)) as u32;
+    top + WIDTH - dropped.count_ones() as usize
 }
 
 #[inline]
@@ -249,12 +282,43 @@ impl Kernel for Avx2 {
         children: &[u32; WIDTH],
         rows: &Rows,
         rays: &FanRays<FAN>,
+        ahead: &Ahead,
         left: u32,
         wanted: u32,
         stack: &mut Stack,
         top: usize,
     ) -> usize {
         // SAFETY: `self` proves the target features.
-        unsafe { fan_push(children, rows, rays, left, wanted, stack, top) }
+        unsafe { fan_push(children, rows, rays, ahead, left, wanted, stack, top) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_network_sorts() {
+        if Avx2::detect().is_none() {
+            return;
+        }
+        let sorted = |values: [u32; WIDTH]| {
+            // SAFETY: AVX2 is there; arrays and vectors are as large.
+            unsafe {
+                let x = sort(std::mem::transmute::<[u32; WIDTH], __m256i>(values));
+                (
+                    std::mem::transmute::<__m256i, [u32; WIDTH]>(x),
+                    std::mem::transmute::<__m256i, [u32; WIDTH]>(count_ones(x)),
+                )
+            }
+        };
+        // A network that sorts zeros and ones sorts everything.
+        for bits in 0..256u32 {
+            let mut values = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| (bits >> i & 1) * (u32::MAX - i));
+            let (order, counts) = sorted(values);
+            values.sort_unstable();
+            assert_eq!(order, values);
+            assert_eq!(counts, values.map(u32::count_ones));
+        }
     }
 }

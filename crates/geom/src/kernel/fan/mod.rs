@@ -79,6 +79,15 @@ pub struct FanRays<const N: usize> {
     pub slab_far: [f32; N],
 }
 
+/// Reciprocals of the `size` of a direction's component, for near and for far planes; see [`FanRays`].
+#[inline(always)]
+pub fn slab_inverse(size: f32) -> [f32; 2] {
+    let inverse = 1.0 / size;
+    let near = if inverse < POW_79 { inverse } else { POW_79 } * SLAB_DOWN;
+    let far = if size < 1.0 / (2.0 * POW_79) { f32::INFINITY } else { inverse * SLAB_UP };
+    [near, far]
+}
+
 /// The columns of a row from `at`.
 #[inline(always)]
 fn chunk<T, const N: usize>(row: &mut [T; N], at: usize) -> &mut [T; CHUNK] {
@@ -123,21 +132,19 @@ impl<const N: usize> FanRays<N> {
         }
         for i in 0..CHUNK {
             let size = d[0][i].abs() + d[1][i].abs() + d[2][i].abs();
-            let sane = size >= SMALLEST_SIZE && size <= LARGEST_SIZE;
+            let sane = (SMALLEST_SIZE..=LARGEST_SIZE).contains(&size);
             fit[i] = u32::from(sane);
             // 2 to the power of -1 - exponent.
             scale[i] = f32::from_bits((253u32 << 23).wrapping_sub(size.to_bits() & (0xff << 23)));
         }
-        for axis in 0..3 {
+        for (axis, d) in d.iter().enumerate() {
             let direction: &mut [f32; CHUNK] = chunk(&mut self.direction[axis], at);
             let inv_near: &mut [f32; CHUNK] = chunk(&mut self.inv_near[axis], at);
             let inv_far: &mut [f32; CHUNK] = chunk(&mut self.inv_far[axis], at);
             let negative: &mut [u32; CHUNK] = chunk(&mut self.negative[axis], at);
             for i in 0..CHUNK {
-                let x = d[axis][i] * scale[i];
-                let inverse = 1.0 / x.abs();
-                let near = if inverse < POW_79 { inverse } else { POW_79 } * SLAB_DOWN;
-                let far = if x.abs() < 1.0 / (2.0 * POW_79) { f32::INFINITY } else { inverse * SLAB_UP };
+                let x = d[i] * scale[i];
+                let [near, far] = slab_inverse(x.abs());
                 direction[i] = x;
                 inv_near[i] = near.copysign(x);
                 inv_far[i] = far.copysign(x);
