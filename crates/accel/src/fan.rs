@@ -331,7 +331,8 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
     mut packet: impl FnMut(&mut G, Range<usize>, &mut S),
     stats: &mut S,
 ) {
-    let mut walks: [Walk; TURNS] = std::array::from_fn(|_| Walk::new());
+    // Made when first needed: a single fan shouldn't pay for all.
+    let mut walks: Vec<Walk> = Vec::with_capacity(TURNS);
     let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
 
     let mut busy = 0;
@@ -340,6 +341,9 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
         while busy < TURNS {
             match parts.next() {
                 Some(Part::Fan(range)) => {
+                    if walks.len() == busy {
+                        walks.push(Walk::new());
+                    }
                     let fit = walks[turns[busy]].start(range.start, &rays[range.clone()], &bvh.tree.bounds);
                     for index in range.clone().filter(|index| fit >> (index - range.start) & 1 == 0) {
                         goal.alone(kernel, bvh, index, stats);

@@ -92,7 +92,7 @@ impl Binary {
             BuildQuality::Fast => PlocSearchDistance::Low,
             BuildQuality::High => PlocSearchDistance::Medium,
         };
-        let mut bvh = PlocBuilder::new().build(search, &hints, indices, SortPrecision::U128, 1);
+        let mut bvh = PlocBuilder::new().build(search, &hints, indices, SortPrecision::U64, 1);
         if quality == BuildQuality::High {
             let mut optimizer = ReinsertionOptimizer::default();
             for round in 0..8 {

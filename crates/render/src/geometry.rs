@@ -154,6 +154,25 @@ impl Geometry {
         depth.transmittance()
     }
 
+    /// [`Self::transmittance`] of each ray; fastest for rays that share their origin.
+    pub fn transmittances(&self, rays: &[Ray], passed: &mut [f32], stats: &mut impl Statistics) {
+        match &self.structure {
+            Structure::Flat(bvh) if self.opaque => {
+                let mut hits = vec![false; rays.len()];
+                bvh.any_hits_with(rays, &mut hits, stats);
+                passed.iter_mut().zip(hits).for_each(|(out, hit)| *out = f32::from(u8::from(!hit)));
+            }
+            Structure::Flat(bvh) => {
+                let mut sums = vec![OpticalDepth::CLEAR; rays.len()];
+                bvh.transmittances_with(rays, |prim| self.depth_of((0, prim)), &mut sums, stats);
+                passed.iter_mut().zip(sums).for_each(|(out, sum)| *out = sum.transmittance());
+            }
+            Structure::Instanced(_) => {
+                rays.iter().zip(passed).for_each(|(ray, out)| *out = self.transmittance(ray, stats));
+            }
+        }
+    }
+
     /// The nearest surface along `ray`.
     pub fn closest_hit(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<Surface> {
         let (instance, hit) = match &self.structure {

@@ -25,7 +25,7 @@ pub trait Method: Sync {
     fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>);
 }
 
-/// Exact single rays through the scene's wide BVH.
+/// Exact rays through the scene's wide BVH.
 struct SingleRays<'a> {
     geometry: &'a Geometry,
     name: &'static str,
@@ -37,15 +37,10 @@ impl Method for SingleRays<'_> {
     }
 
     fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+        let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
         match counters {
-            None => rays
-                .iter()
-                .zip(passed)
-                .for_each(|(light, out)| *out = self.geometry.transmittance(&light.ray, &mut ())),
-            Some(counters) => rays
-                .iter()
-                .zip(passed)
-                .for_each(|(light, out)| *out = self.geometry.transmittance(&light.ray, counters)),
+            None => self.geometry.transmittances(&rays, passed, &mut ()),
+            Some(counters) => self.geometry.transmittances(&rays, passed, counters),
         }
     }
 }
@@ -102,7 +97,7 @@ fn choose<'a>(
 ) -> Result<Choice<'a>, RenderError> {
     let exact = known[1];
     let reason = match name {
-        "auto" => "exact single rays serve every scene",
+        "auto" => "exact rays serve every scene",
         _ if name == exact => "asked for",
         _ => return Err(RenderError::Method { name: name.into(), purpose, known }),
     };
