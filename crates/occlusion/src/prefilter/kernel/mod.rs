@@ -1,0 +1,96 @@
+//! One step of a walk: eight boxes against one ray, and which of them end it. All back ends return the same bits.
+
+mod scalar;
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+mod x86;
+
+#[cfg(test)]
+mod tests;
+
+pub(crate) use scalar::Scalar;
+
+use super::wide::{Node, WIDTH};
+use umbrage_geom::{
+    Ray, SlabRay,
+    glam::Vec3,
+    kernel::{BlockMask, BlockRay, TriangleBlock},
+};
+
+/// A valid ray prepared for boxes, leaves and the question where it ends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Prepared {
+    pub(crate) slab: SlabRay,
+    /// Row of [`Node::bounds`] that holds the near plane of each axis, even or odd; the far plane is its neighbour.
+    near_row: [usize; 3],
+    pub(crate) block: BlockRay,
+    origin: Vec3,
+    /// A child ends the ray when its `reach` is less than this times its squared distance; 0 for never.
+    pub(crate) kappa: f32,
+    /// What both terms of the crossed fraction are raised by: hardly anything, or so much that it becomes 1.
+    pub(crate) raise: f32,
+}
+
+impl Prepared {
+    /// Crossed fractions count.
+    pub(crate) const FRACTION: f32 = 1.0 / (1u128 << 100) as f32;
+    /// Every crossing counts in full.
+    pub(crate) const WHOLE: f32 = (1u128 << 100) as f32;
+
+    /// `None` if the ray is not valid, which is a miss.
+    #[inline(always)]
+    pub(crate) fn new(ray: &Ray, kappa: f32, raise: f32) -> Option<Self> {
+        Self::with_slab(ray, SlabRay::new(ray)?, kappa, raise)
+    }
+
+    /// The same with what is known about the direction.
+    #[inline(always)]
+    pub(crate) fn with_slab(ray: &Ray, slab: SlabRay, kappa: f32, raise: f32) -> Option<Self> {
+        let inv_near = slab.inv_near.to_array();
+        let near_row = [0, 1, 2].map(|axis| 2 * axis + usize::from(inv_near[axis] < 0.0));
+        Some(Self { slab, near_row, block: BlockRay::new(ray)?, origin: ray.origin, kappa, raise })
+    }
+}
+
+/// Children of a node as one ray meets them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Step {
+    /// Children to descend into.
+    pub(crate) descend: u32,
+    /// Children that end the ray.
+    pub(crate) stop: u32,
+    /// Of each child that ends the ray the fraction of its crossing that the segment covers; 0 for the others.
+    pub(crate) fraction: [f32; WIDTH],
+}
+
+/// One traversal step on some instruction set.
+pub(crate) trait Kernel: Copy + Send + Sync {
+    /// Tests all children.
+    fn step(self, node: &Node, ray: &Prepared) -> Step;
+
+    /// See [`umbrage_geom::kernel`].
+    fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask;
+}
+
+/// Work that runs on any kernel.
+pub(crate) trait Job {
+    type Output;
+
+    fn run<K: Kernel>(self, kernel: K) -> Self::Output;
+}
+
+/// Runs `job` on the best instructions of this processor.
+#[inline]
+pub(crate) fn run<J: Job>(job: J) -> J::Output {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(avx2) = umbrage_geom::kernel::x86::Avx2::detect() {
+        return x86::run(avx2, job);
+    }
+    job.run(Scalar)
+}
+
+/// Sum of eight numbers, always in the same order.
+#[inline(always)]
+pub(crate) fn sum(x: [f32; WIDTH]) -> f32 {
+    ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]))
+}

@@ -1,0 +1,46 @@
+//! The oracle: plain operations, one child at a time.
+
+use super::{Kernel, Prepared, Step};
+use crate::prefilter::wide::{Node, WIDTH};
+use umbrage_geom::kernel::{BlockMask, BlockRay, TriangleBlock, scalar};
+
+/// Portable code.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scalar;
+
+impl Kernel for Scalar {
+    #[inline]
+    fn step(self, node: &Node, ray: &Prepared) -> Step {
+        let mut step = Step { descend: 0, stop: 0, fraction: [0.0; WIDTH] };
+        for i in 0..WIDTH {
+            let (mut entry, mut exit, mut distance) = (f32::NEG_INFINITY, f32::INFINITY, 0.0);
+            for axis in 0..3 {
+                let row = ray.near_row[axis];
+                let (near, far) = (node.bounds[row][i], node.bounds[row ^ 1][i]);
+                // The comparisons are false for NaN, which drops it.
+                let t0 = (near - ray.slab.origin_near[axis]) * ray.slab.inv_near[axis];
+                let t1 = (far - ray.slab.origin_far[axis]) * ray.slab.inv_far[axis];
+                entry = if t0 > entry { t0 } else { entry };
+                exit = if t1 < exit { t1 } else { exit };
+                let middle = (near + far) * 0.5 - ray.origin[axis];
+                distance += middle * middle;
+            }
+            let t0 = if entry > ray.slab.tnear { entry } else { ray.slab.tnear };
+            let t1 = if exit < ray.slab.tfar { exit } else { ray.slab.tfar };
+            if t0 <= t1 {
+                if node.reach[i] < ray.kappa * distance {
+                    step.stop |= 1 << i;
+                    step.fraction[i] = ((t1 - t0) + ray.raise) / ((exit - entry) + ray.raise);
+                } else {
+                    step.descend |= 1 << i;
+                }
+            }
+        }
+        step
+    }
+
+    #[inline]
+    fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
+        scalar::filter(block, ray)
+    }
+}
