@@ -31,6 +31,7 @@ mod error;
 mod kernel;
 mod opacity;
 mod options;
+mod packet;
 mod prefiltered;
 mod storage;
 mod walk;

@@ -5,6 +5,7 @@ use super::{
     correlation::may_stop,
     kernel::{self, Job, Kernel, Prepared},
     opacity::{averages, measure, sphere_areas},
+    packet::{PACKET, Packet},
     storage::{Harmonics, Stored, Table, with_table},
     walk::{Depths, Scene, StopStatistics},
     wide::Wide,
@@ -271,7 +272,7 @@ impl Query {
     }
 }
 
-/// Answers rays one by one.
+/// Answers rays, in packets if there are several.
 struct Answer<'a, T, S> {
     scene: Scene<'a, T>,
     directions: Directions,
@@ -286,15 +287,18 @@ impl<T: Table, S: StopStatistics> Job for Answer<'_, T, S> {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        for (cone, passed) in self.rays.iter().zip(self.passed) {
-            let (kappa, raise, direction) = self.query.prepare(cone, self.directions);
-            *passed = match Prepared::new(&cone.ray, kappa, raise) {
-                None => 1.0,
-                Some(prepared) => {
-                    let view = self.scene.table.view(self.directions, direction);
-                    self.scene.walk(kernel, 0, &cone.ray, &prepared, view, self.stats).transmittance()
-                }
-            };
+        let Self { scene, directions, rays, query, passed, stats } = self;
+        if let ([cone], [passed]) = (rays, &mut *passed) {
+            let (kappa, raise, direction) = query.prepare(cone, directions);
+            *passed = Prepared::new(&cone.ray, kappa, raise).map_or(1.0, |prepared| {
+                let view = scene.table.view(directions, direction);
+                scene.walk(kernel, 0, &cone.ray, &prepared, view, stats).transmittance()
+            });
+            return;
+        }
+        let mut packet = Packet::new();
+        for (rays, passed) in rays.chunks(PACKET).zip(passed.chunks_mut(PACKET)) {
+            packet.answer(kernel, &scene, directions, rays, query, passed, stats);
         }
     }
 }

@@ -232,6 +232,11 @@ impl Published {
         &self.opacities[..self.directions.cells()]
     }
 
+    /// Opacities of the whole scene by rendering all triangles: what prefiltering approximates in linear time.
+    pub fn rendered_opacities(&self) -> Vec<f32> {
+        (0..self.directions.cells()).map(|cell| self.rendered(0, self.directions.center(cell))).collect()
+    }
+
     /// All stored opacities, node by node.
     pub fn opacities(&self) -> &[f32] {
         &self.opacities

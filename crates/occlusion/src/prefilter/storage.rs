@@ -92,7 +92,13 @@ impl<E: Element> Table for Cube<E> {
 
     #[inline(always)]
     fn depths(&self, view: usize, node: usize) -> [f32; WIDTH] {
-        self.rows[view + node].map(E::depth)
+        // A loop: closures would not be compiled with the caller's instructions.
+        let row = &self.rows[view + node];
+        let mut depths = [0.0; WIDTH];
+        for i in 0..WIDTH {
+            depths[i] = row[i].depth();
+        }
+        depths
     }
 }
 

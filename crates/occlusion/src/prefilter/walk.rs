@@ -1,12 +1,12 @@
 //! A ray with a solid angle through the wide tree ([Lacewell08], Algorithm 1, by the node instead of by the box).
 //!
-//! Here: the walk of one ray. Not here: several rays of one origin (`fan.rs`), boxes (`kernel`), opacities (`opacity.rs`).
+//! Here: the walk of one ray. Not here: many rays at once (`packet.rs`), boxes (`kernel`), opacities (`opacity.rs`).
 //!
 //! Departures: children are composited by adding optical depths; nothing is interpolated between levels, see
 //! [`super::Blend`]; a node crossed in part dims in part; the ray ends where 10 bits are lost.
 
 use super::{
-    kernel::{Kernel, Prepared, Step, sum},
+    kernel::{Kernel, Prepared, Step, dot},
     storage::Table,
     wide::{LEAF, MAX_LEVELS, WIDTH, Wide},
 };
@@ -70,7 +70,8 @@ impl Lost {
     /// Fraction that passes: that of the triangles alone where no node took part.
     #[inline(always)]
     pub(crate) fn transmittance(&self) -> f32 {
-        let exact = self.exact.transmittance();
+        // Powers take longer than a node.
+        let exact = if self.exact == OpticalDepth::CLEAR { 1.0 } else { self.exact.transmittance() };
         if self.stored == 0.0 { exact } else { exact * (-self.stored).exp2() }
     }
 }
@@ -146,12 +147,13 @@ impl<T: Table> Scene<'_, T> {
         loop {
             if enter {
                 let node = &wide.nodes[index as usize];
-                let Step { descend, stop, fraction } = kernel.step(node, prepared);
+                let Step { descend, stop, fraction } =
+                    kernel.step(node, prepared, &kernel.distances(node, prepared.origin));
                 stats.node(node.len() as u32);
                 if stop != 0 {
                     stats.stops(stop, || wide.levels.partition_point(|level| level.end <= index as usize));
                     let rows = table.depths(view, index as usize);
-                    lost.stored += sum(std::array::from_fn::<f32, WIDTH, _>(|i| rows[i] * fraction[i]));
+                    lost.stored += dot(&rows, &fraction);
                     if lost.is_black() {
                         return black;
                     }

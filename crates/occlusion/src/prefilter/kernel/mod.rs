@@ -24,7 +24,7 @@ pub(crate) struct Prepared {
     /// Row of [`Node::bounds`] that holds the near plane of each axis, even or odd; the far plane is its neighbour.
     near_row: [usize; 3],
     pub(crate) block: BlockRay,
-    origin: Vec3,
+    pub(crate) origin: Vec3,
     /// A child ends the ray when its `reach` is less than this times its squared distance; 0 for never.
     pub(crate) kappa: f32,
     /// What both terms of the crossed fraction are raised by: hardly anything, or so much that it becomes 1.
@@ -65,8 +65,11 @@ pub(crate) struct Step {
 
 /// One traversal step on some instruction set.
 pub(crate) trait Kernel: Copy + Send + Sync {
-    /// Tests all children.
-    fn step(self, node: &Node, ray: &Prepared) -> Step;
+    /// Squared distances of the children's centres from `origin`.
+    fn distances(self, node: &Node, origin: Vec3) -> [f32; WIDTH];
+
+    /// Tests all children, whose `distances` are from the ray's origin.
+    fn step(self, node: &Node, ray: &Prepared, distances: &[f32; WIDTH]) -> Step;
 
     /// See [`umbrage_geom::kernel`].
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask;
@@ -89,8 +92,12 @@ pub(crate) fn run<J: Job>(job: J) -> J::Output {
     job.run(Scalar)
 }
 
-/// Sum of eight numbers, always in the same order.
+/// Sum of products of eight pairs, always in the same order.
 #[inline(always)]
-pub(crate) fn sum(x: [f32; WIDTH]) -> f32 {
+pub(crate) fn dot(a: &[f32; WIDTH], b: &[f32; WIDTH]) -> f32 {
+    let mut x = [0.0; WIDTH];
+    for i in 0..WIDTH {
+        x[i] = a[i] * b[i];
+    }
     ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]))
 }
