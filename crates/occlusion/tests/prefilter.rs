@@ -337,3 +337,48 @@ fn bad_input_has_names() {
     assert!(Published::build(&positions, &triangles, 1.0, 1.0, 0).is_err());
     assert_eq!(Directions::new(0), None);
 }
+
+#[test]
+fn instances_dim_as_copies_do() {
+    use std::sync::Arc;
+    use umbrage_accel::{InstancedBvh, Placement};
+    use umbrage_geom::glam::{Affine3A, Quat};
+    use umbrage_occlusion::prefilter::PrefilteredInstances;
+
+    let mesh = generated("bush", 8_000, 0);
+    let map = |scale: f32, turn: f32, x: f32| {
+        let rotation = Quat::from_rotation_y(turn);
+        Affine3A::from_scale_rotation_translation(Vec3::splat(scale), rotation, Vec3::new(x, 0.0, 0.0))
+    };
+    let maps = [map(1.0, 0.0, -2.0), map(0.5, 1.0, 0.0), map(1.5, -2.0, 2.5)];
+    let mut copies = TriangleMesh::default();
+    for map in &maps {
+        let base = copies.positions.len() as u32;
+        copies.positions.extend(mesh.positions.iter().map(|&p| map.transform_point3(p.into()).to_array()));
+        copies.triangles.extend(mesh.triangles.iter().map(|t| t.map(|v| v + base)));
+    }
+    let options = PrefilterOptions::default();
+    let flat = build(&copies.positions, &copies.triangles, &[0.85], &options);
+    let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default()).expect("a bush");
+    let placements: Vec<Placement> =
+        maps.iter().map(|&world_from_object| Placement { bvh: 0, world_from_object }).collect();
+    let top = InstancedBvh::build(vec![Arc::new(bvh)], &placements).expect("three bushes");
+    let one = Arc::new(build(&mesh.positions, &mesh.triangles, &[0.85], &options));
+    let instances = PrefilteredInstances::new(&top, vec![one.clone()], &[0; 3]).expect("as many");
+    let rays: Vec<ConeRay> =
+        cones(&copies, 4_000, 11).into_iter().map(|r| ConeRay { solid_angle: 0.003, ..r }).collect();
+    for (query, tolerance) in [(Query::EXACT, 1e-4), (Query::new(0.2).expect("above 0"), 0.01)] {
+        let mean = |v: &[f32]| v.iter().sum::<f32>() / v.len() as f32;
+        let placed: Vec<f32> = rays.iter().map(|ray| instances.transmittance(ray, &query)).collect();
+        let (a, b) = (mean(&placed), mean(&answers(&flat, &rays, &query)));
+        assert!((a - b).abs() < tolerance, "{a} {b}");
+    }
+    assert!(matches!(
+        PrefilteredInstances::new(&top, vec![one.clone()], &[0; 2]),
+        Err(PrefilterError::InstanceCount { .. })
+    ));
+    assert!(matches!(
+        PrefilteredInstances::new(&top, vec![one], &[0, 0, 1]),
+        Err(PrefilterError::Hierarchy { instance: 2, .. })
+    ));
+}

@@ -1,11 +1,11 @@
 //! Which nodes may end rays: the correlation height `K`, by hand or from connectivity ([Lacewell08], section 3.3).
 //!
 //! A node's opacity says nothing about where in the node light is blocked, so a wall cut into nodes would leak. The published
-//! remedy is one height below which no node ends rays. Here each connected surface has a *width*, its area over the diagonal
-//! of its box: about a leaf's or a strand's width, but a wall's height. A node may end rays only if its radius is
-//! [`WIDTHS`] times the largest width of any surface in it; pieces of a wall, of whatever size, never are, and strands and
-//! stems are as soon as they are thin against the node. Closed surfaces that are not much longer than wide hold light or
-//! keep it out and so are never given an opacity at all.
+//! remedy is one height below which no node ends rays. Here each connected surface has a *length*, how far apart its ends
+//! are along it, and a *width*, its area over that: a leaf's or a strand's width, however it curls, and a wall's height. A
+//! node may end rays only if its radius is [`WIDTHS`] times the largest width of any surface in it (for strands less,
+//! [`STRAND_WIDTHS`]): pieces of a wall, of whatever size, never are; strands and stems are as soon as they are thin against
+//! the node. Closed surfaces that are not much longer than wide hold light or keep it out and so are never given an opacity.
 //!
 //! Triangles are connected when they share the position of a vertex, so soups and indexed meshes are the same.
 
@@ -19,7 +19,6 @@ use std::{
 };
 use umbrage_accel::BinaryTree;
 use umbrage_geom::{
-    Aabb,
     glam::Vec3,
     sampling::{combine, hash},
 };
@@ -27,7 +26,13 @@ use umbrage_geom::{
 /// A node's radius over the widths of what is in it.
 const WIDTHS: f32 = 1.5;
 
-/// Closed surfaces whose width is more than this part of their diagonal are solid.
+/// The same for strands.
+const STRAND_WIDTHS: f32 = 0.5;
+
+/// Length over width from which a surface is on the way to a strand, and from which it is one.
+const STRAND: [f32; 2] = [6.0, 14.0];
+
+/// Closed surfaces whose width is more than this part of their length are solid.
 const SOLID: f32 = 0.25;
 
 /// Hash of three coordinates, mixed as numbers.
@@ -51,72 +56,119 @@ impl Hasher for PositionHasher {
     }
 }
 
-/// Union and find over indices.
-struct Sets(Vec<u32>);
-
-impl Sets {
-    fn find(&mut self, mut i: u32) -> u32 {
-        while self.0[i as usize] != i {
-            let up = self.0[self.0[i as usize] as usize];
-            self.0[i as usize] = up;
-            i = up;
-        }
-        i
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.find(a), self.find(b));
-        // The smaller index is the root, so that results don't depend on the order of unions.
-        self.0[a.max(b) as usize] = a.min(b);
-    }
-}
-
-/// A connected surface.
-#[derive(Clone, Copy)]
-struct Surface {
-    aabb: Aabb,
-    area: f32,
-    /// Edges met an odd number of times: 0 if closed. Counted by a sum of hashes that cancel in pairs.
-    open: u64,
-}
-
-/// Radius that a node needs to end rays although it holds a triangle, for each triangle.
-fn needed_radii(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<f32> {
-    let mut sets = Sets((0..positions.len() as u32).collect());
-    for &[a, b, c] in triangles {
-        sets.join(a, b);
-        sets.join(b, c);
-    }
+/// Index of the first vertex at the same place, for each vertex.
+fn welded(positions: &[[f32; 3]]) -> Vec<u32> {
     let mut first: HashMap<[u32; 3], u32, BuildHasherDefault<PositionHasher>> = HashMap::default();
     first.reserve(positions.len());
-    let mut same = vec![0u32; positions.len()];
-    for (i, p) in positions.iter().enumerate() {
+    let places = positions.iter().enumerate().map(|(i, p)| {
         // Zeros of both signs are one place.
-        let key = p.map(|x| (x + 0.0).to_bits());
-        let one = *first.entry(key).or_insert(i as u32);
-        same[i] = one;
-        sets.join(one, i as u32);
-    }
-    let empty = Surface { aabb: Aabb::EMPTY, area: 0.0, open: 0 };
-    let mut surfaces: HashMap<u32, Surface, BuildHasherDefault<PositionHasher>> = HashMap::default();
-    let roots: Vec<u32> = triangles.iter().map(|t| sets.find(t[0])).collect();
-    for (&root, t) in roots.iter().zip(triangles) {
-        let surface = surfaces.entry(root).or_insert(empty);
-        let [a, b, c] = t.map(|v| Vec3::from(positions[v as usize]));
-        surface.area += 0.5 * (b - a).cross(c - a).length();
-        surface.aabb = surface.aabb.with_point(a).with_point(b).with_point(c);
-        let v = t.map(|v| same[v as usize]);
-        for (p, q) in [(v[0], v[1]), (v[1], v[2]), (v[2], v[0])] {
-            let (p, q) = (p.min(q), p.max(q));
-            surface.open ^= u64::from(combine(p, q)) << 32 | u64::from(combine(q ^ 0x55, p));
+        *first.entry(p.map(|x| (x + 0.0).to_bits())).or_insert(i as u32)
+    });
+    places.collect()
+}
+
+/// Vertices with the triangles around each.
+struct Graph<'a> {
+    positions: &'a [[f32; 3]],
+    /// Welded.
+    triangles: Vec<[u32; 3]>,
+    /// Where each vertex's run of `around` starts.
+    starts: Vec<u32>,
+    around: Vec<u32>,
+}
+
+impl<'a> Graph<'a> {
+    fn new(positions: &'a [[f32; 3]], triangles: &[[u32; 3]]) -> Self {
+        let same = welded(positions);
+        let triangles: Vec<[u32; 3]> = triangles.iter().map(|t| t.map(|v| same[v as usize])).collect();
+        let mut starts = vec![0u32; positions.len() + 1];
+        triangles.iter().flatten().for_each(|&v| starts[v as usize + 1] += 1);
+        for i in 0..positions.len() {
+            starts[i + 1] += starts[i];
         }
+        let mut next = starts.clone();
+        let mut around = vec![0u32; 3 * triangles.len()];
+        for (i, &v) in triangles.iter().enumerate().flat_map(|(i, t)| t.iter().map(move |v| (i, v))) {
+            around[next[v as usize] as usize] = i as u32;
+            next[v as usize] += 1;
+        }
+        Self { positions, triangles, starts, around }
     }
-    let radius = |s: &Surface| {
-        let diagonal = s.aabb.diagonal();
-        let width = if diagonal > 0.0 { s.area / diagonal } else { 0.0 };
-        if s.open == 0 && width > SOLID * diagonal { f32::INFINITY } else { WIDTHS * width }
-    };
-    roots.iter().map(|root| surfaces.get(root).map_or(0.0, radius)).collect()
+
+    /// Walks over the surface of `start` in breadth. Returns its vertices, and the one farthest along the walk with its
+    /// distance. `distances` of its vertices must be negative before, and are the distances afterwards.
+    fn walk(&self, start: u32, distances: &mut [f32], queue: &mut Vec<u32>) -> (u32, f32) {
+        queue.clear();
+        queue.push(start);
+        distances[start as usize] = 0.0;
+        let (mut farthest, mut at) = ((start, 0.0), 0);
+        while let Some(&vertex) = queue.get(at) {
+            at += 1;
+            let (here, distance) = (Vec3::from(self.positions[vertex as usize]), distances[vertex as usize]);
+            let run = self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize;
+            for &other in self.around[run].iter().flat_map(|&t| &self.triangles[t as usize]) {
+                if distances[other as usize] < 0.0 {
+                    let d = distance + here.distance(self.positions[other as usize].into());
+                    distances[other as usize] = d;
+                    queue.push(other);
+                    if d > farthest.1 {
+                        farthest = (other, d);
+                    }
+                }
+            }
+        }
+        farthest
+    }
+}
+
+/// Radius that a node needs to end rays although it holds a surface.
+fn needed_radius(area: f32, length: f32, is_closed: bool) -> f32 {
+    let width = if length > 0.0 { area / length } else { 0.0 };
+    if is_closed && width > SOLID * length {
+        return f32::INFINITY;
+    }
+    let slender = ((length - STRAND[0] * width) / ((STRAND[1] - STRAND[0]) * width)).clamp(0.0, 1.0);
+    if width > 0.0 { width * (WIDTHS + (STRAND_WIDTHS - WIDTHS) * slender) } else { 0.0 }
+}
+
+/// The radius needed for each triangle.
+fn needed_radii(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<f32> {
+    let graph = Graph::new(positions, triangles);
+    let mut radii = vec![-1f32; triangles.len()];
+    let mut distances = vec![-1f32; positions.len()];
+    let (mut queue, mut members) = (Vec::new(), Vec::new());
+    for first in 0..triangles.len() {
+        if radii[first] >= 0.0 {
+            continue;
+        }
+        // From anywhere to one end, and from there to the other.
+        let (end, _) = graph.walk(graph.triangles[first][0], &mut distances, &mut queue);
+        queue.iter().for_each(|&v| distances[v as usize] = -1.0);
+        let (_, length) = graph.walk(end, &mut distances, &mut queue);
+        // Edges of a closed surface come in pairs, so that their hashes cancel.
+        let (mut area, mut open) = (0.0, 0u64);
+        members.clear();
+        for &vertex in &queue {
+            let run = graph.starts[vertex as usize] as usize..graph.starts[vertex as usize + 1] as usize;
+            for &t in &graph.around[run] {
+                if radii[t as usize] >= 0.0 {
+                    continue;
+                }
+                radii[t as usize] = 0.0;
+                members.push(t);
+                let v = graph.triangles[t as usize];
+                let [a, b, c] = v.map(|v| Vec3::from(positions[v as usize]));
+                area += 0.5 * (b - a).cross(c - a).length();
+                for (p, q) in [(v[0], v[1]), (v[1], v[2]), (v[2], v[0])] {
+                    let (p, q) = (p.min(q), p.max(q));
+                    open ^= u64::from(combine(p, q)) << 32 | u64::from(combine(q ^ 0x55, p));
+                }
+            }
+        }
+        let radius = needed_radius(area, length, open == 0);
+        members.iter().for_each(|&t| radii[t as usize] = radius);
+    }
+    radii
 }
 
 /// Heights as published: leaves 0, others 1 more than the mean of their children.
@@ -193,9 +245,10 @@ mod tests {
         let triangles: Vec<[u32; 3]> =
             (0..positions.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
         let radii = needed_radii(&positions, &triangles);
-        let width = 16.0 / 68f32.sqrt();
-        assert!(radii[..wall].iter().all(|r| (r - WIDTHS * width).abs() < 1e-4));
-        assert!((radii[wall] - WIDTHS * 0.05).abs() < 1e-3);
+        // As wide as a wall's length lets it be, at least.
+        assert!(radii[..wall].iter().all(|&r| r == radii[0]));
+        assert!((1.5..3.0).contains(&radii[0]), "{}", radii[0]);
+        assert!((radii[wall] - STRAND_WIDTHS * 0.05).abs() < 1e-3);
         assert!(radii[wall + 1..].iter().all(|&r| r == f32::INFINITY));
     }
 }

@@ -47,13 +47,21 @@ pub enum PrefilterError {
     /// The threshold `T` is not above 0.
     #[error("threshold {0} is not above 0")]
     Threshold(f32),
-    /// An instance names a hierarchy that does not exist, or the hierarchies don't belong to the instances.
-    #[error("{count} prefiltered hierarchies for {expected} of the instances")]
-    Hierarchies {
+    /// Not as many hierarchies were named as there are instances.
+    #[error("{count} prefiltered hierarchies are named for {instances} instances")]
+    InstanceCount {
         /// How many came.
         count: usize,
-        /// How many the instances use.
-        expected: usize,
+        /// How many instances there are.
+        instances: usize,
+    },
+    /// An instance names a prefiltered hierarchy that does not exist, or one over other triangles than the instance's.
+    #[error("instance {instance} can't use prefiltered hierarchy {hierarchy}")]
+    Hierarchy {
+        /// Index of the instance.
+        instance: usize,
+        /// The hierarchy it names.
+        hierarchy: u32,
     },
     /// Pilot receivers are missing, or the target is not above 0.
     #[error("a target error of {target} over {receivers} receivers can't be aimed at")]

@@ -28,6 +28,7 @@ pub mod published;
 mod correlation;
 mod directions;
 mod error;
+mod instances;
 mod kernel;
 mod opacity;
 mod options;
@@ -39,6 +40,7 @@ mod wide;
 
 pub use directions::Directions;
 pub use error::PrefilterError;
+pub use instances::PrefilteredInstances;
 pub use options::{Blend, CellSampling, Correlation, PrefilterOptions, Query, SegmentEnds, Storage};
 pub use prefiltered::{Bytes, ConeRay, Prefiltered};
 pub use walk::StopStatistics;

@@ -143,8 +143,7 @@ impl<E: Element> Measure<'_, E> {
             (slab.origin_near, slab.origin_far) = (ray.origin, ray.origin);
             count += 1;
             if let Some(prepared) = Prepared::with_slab(&ray, slab, f32::INFINITY, Prepared::WHOLE) {
-                let lost = self.scene.walk(kernel, node.children[slot], &ray, &prepared, view, &mut ());
-                blocked += 1.0 - lost.transmittance();
+                blocked += 1.0 - self.scene.walk(kernel, node.children[slot], &ray, &prepared, view, &mut ());
             }
         }
         if count == 0 { 0.0 } else { blocked / count as f32 }
@@ -191,17 +190,29 @@ pub(crate) fn measure<E: Element>(
             }
         }
         for index in level {
-            set_reach(&mut wide.nodes[index], masks[index]);
+            set_reach(&mut wide.nodes[index], masks[index], |slot| share(&table, index, slot));
         }
     }
     Ok(table)
 }
 
+/// Smallest share of its size that a node may count with.
+const LEAST_SHARE: f32 = 0.3;
+
+/// Share of its squared radius that a node counts with: the variance of what passes through it, over the largest there is.
+/// Where nearly nothing or nearly all passes, a ray may end sooner.
+fn share<E: Element>(table: &Cube<E>, node: usize, slot: usize) -> f32 {
+    let cells = table.cells();
+    let passed = (0..cells).map(|cell| (-table.get(cell, node)[slot].depth()).exp2());
+    let sum: f32 = passed.map(|t| t * (1.0 - t)).sum();
+    (4.0 * sum / cells as f32).max(LEAST_SHARE)
+}
+
 /// Sets from which squared radius on children end rays.
-fn set_reach(node: &mut Node, mask: u8) {
+fn set_reach(node: &mut Node, mask: u8, share: impl Fn(usize) -> f32) {
     for slot in 0..node.len() {
         let radius = 0.5 * node.child_box(slot).diagonal();
-        node.reach[slot] = if mask >> slot & 1 == 1 { radius * radius } else { f32::INFINITY };
+        node.reach[slot] = if mask >> slot & 1 == 1 { radius * radius * share(slot) } else { f32::INFINITY };
     }
 }
 
@@ -222,9 +233,9 @@ pub(crate) fn sphere_areas(wide: &mut Wide, depths: &Depths, masks: &[u8]) -> Cu
                 let leaf = (child & !LEAF) as usize;
                 let own = square(&aabb).max(f32::MIN_POSITIVE);
                 let prims = wide.leaf_prims(leaf).enumerate();
-                1.0 - prims.fold(1.0, |passed, (lane, prim)| {
+                1.0 - prims.fold(1.0, |passed, (lane, _)| {
                     let triangle = Aabb::from_points(&wide.blocks[leaf].get(lane));
-                    let alpha = 1.0 - depths.of(prim).transmittance();
+                    let alpha = 1.0 - depths.of(leaf, lane).transmittance();
                     passed * (1.0 - alpha * (square(&triangle) / own).min(1.0))
                 })
             } else {
@@ -235,7 +246,7 @@ pub(crate) fn sphere_areas(wide: &mut Wide, depths: &Depths, masks: &[u8]) -> Cu
         }
         whole[index] = 1.0 - passed;
         table.set(0, index, row);
-        set_reach(&mut wide.nodes[index], masks[index]);
+        set_reach(&mut wide.nodes[index], masks[index], |_| 1.0);
     }
     table
 }

@@ -72,7 +72,8 @@ impl<V: Copy> Packet<V> {
             let (kappa, raise, direction) = query.prepare(cone, directions);
             if let Some(prepared) = Prepared::new(&cone.ray, kappa, raise) {
                 let view = scene.table.view(directions, direction);
-                travellers.push(Traveller { prepared, view, lost: Lost::default(), place: place as u8 });
+                let lost = Lost::nothing(kappa);
+                travellers.push(Traveller { prepared, view, lost, place: place as u8 });
             }
         }
         let travellers = &mut travellers[..];
@@ -90,10 +91,7 @@ impl<V: Copy> Packet<V> {
                     let leaf = (child & !LEAF) as usize;
                     let added = leaf_depth(kernel, scene.wide, scene.depths, leaf, ray, prepared, stats);
                     if added != OpticalDepth::CLEAR {
-                        lost.exact += added;
-                        let black =
-                            if prepared.kappa > 0.0 { lost.is_black() } else { lost.exact.is_opaque() };
-                        alive &= !(u16::from(black) << r);
+                        alive &= !(u16::from(lost.add_exact(added)) << r);
                     }
                 }
                 continue;
@@ -121,8 +119,7 @@ impl<V: Copy> Packet<V> {
                         scene.wide.levels.partition_point(|level| level.end <= child as usize)
                     });
                     let depths = scene.table.depths(*view, child as usize);
-                    lost.stored += dot(&depths, &fraction);
-                    if lost.is_black() {
+                    if lost.add_stored(dot(&depths, &fraction)) {
                         alive &= !(1 << r);
                         descend = 0;
                     }

@@ -12,7 +12,7 @@ use super::{
 };
 use umbrage_accel::{BinaryTree, BuildError};
 use umbrage_geom::{
-    Aabb, OpticalDepth, Progress, Ray,
+    Aabb, Progress, Ray,
     mesh::{validate_positions, validate_slices},
     sampling::{hash, unit},
 };
@@ -57,19 +57,14 @@ pub struct Prefiltered {
     vertices: usize,
 }
 
-fn validated(opacity: &[f32], triangles: usize) -> Result<Depths, PrefilterError> {
+fn check_opacity(opacity: &[f32], triangles: usize) -> Result<(), PrefilterError> {
     if opacity.len() != 1 && opacity.len() != triangles {
         return Err(PrefilterError::OpacityCount { count: opacity.len(), triangles });
     }
-    if let Some(index) = opacity.iter().position(|a| !(0.0..=1.0).contains(a)) {
-        return Err(PrefilterError::Opacity { index, value: opacity[index] });
+    match opacity.iter().position(|a| !(0.0..=1.0).contains(a)) {
+        Some(index) => Err(PrefilterError::Opacity { index, value: opacity[index] }),
+        None => Ok(()),
     }
-    let first = opacity[0];
-    Ok(if opacity.iter().all(|&a| a == first) {
-        if first == 1.0 { Depths::Opaque } else { Depths::Uniform(OpticalDepth::from_opacity(first)) }
-    } else {
-        Depths::PerTriangle(opacity.iter().map(|&a| OpticalDepth::from_opacity(a)).collect())
-    })
 }
 
 impl Prefiltered {
@@ -90,7 +85,7 @@ impl Prefiltered {
     ) -> Result<Self, PrefilterError> {
         let directions = options.validate()?;
         validate_slices(positions, triangles)?;
-        let depths = validated(opacity, triangles.len())?;
+        check_opacity(opacity, triangles.len())?;
         let corners = |prim: u32| triangles[prim as usize].map(|v| positions[v as usize]);
         let boxes: Vec<Aabb> =
             (0..triangles.len() as u32).map(|prim| Aabb::from_points(&corners(prim))).collect();
@@ -98,6 +93,7 @@ impl Prefiltered {
         drop(boxes);
         let (mut wide, sources) = Wide::collapse(&tree);
         wide.fill(corners);
+        let depths = Depths::new(opacity, &wide.prims);
         let masks = may_stop(options.correlation, &wide, &tree, &sources, positions, triangles);
         drop((tree, sources));
         let progress = Progress::new(wide.nodes.len() as u64, progress);
@@ -292,7 +288,7 @@ impl<T: Table, S: StopStatistics> Job for Answer<'_, T, S> {
             let (kappa, raise, direction) = query.prepare(cone, directions);
             *passed = Prepared::new(&cone.ray, kappa, raise).map_or(1.0, |prepared| {
                 let view = scene.table.view(directions, direction);
-                scene.walk(kernel, 0, &cone.ray, &prepared, view, stats).transmittance()
+                scene.walk(kernel, 0, &cone.ray, &prepared, view, stats)
             });
             return;
         }

@@ -77,6 +77,10 @@ impl<E: Element> Cube<E> {
         self.rows[cell * self.nodes + node]
     }
 
+    pub(crate) fn cells(&self) -> usize {
+        self.cells
+    }
+
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(&self.rows[..])
     }

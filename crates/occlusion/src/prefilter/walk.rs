@@ -28,43 +28,90 @@ pub trait StopStatistics: Statistics {
 impl StopStatistics for () {}
 impl StopStatistics for umbrage_accel::Counters {}
 
-/// Optical depths of triangles.
+/// Optical depths of triangles, leaf by leaf, so that a hit needs no index of its triangle.
 #[derive(Clone, Debug)]
 pub(crate) enum Depths {
-    Opaque,
     Uniform(OpticalDepth),
-    PerTriangle(Vec<OpticalDepth>),
+    /// Up to 256 different ones, and which of them each lane has.
+    Palette(Vec<OpticalDepth>, Vec<[u8; LANES]>),
+    PerLane(Vec<[OpticalDepth; LANES]>),
 }
 
 impl Depths {
+    /// For opacities in `[0, 1]`, one or one a triangle, and the triangles in the lanes of leaves.
+    pub(crate) fn new(opacity: &[f32], prims: &[[u32; LANES]]) -> Self {
+        let mut different: Vec<u32> = opacity.iter().map(|a| a.to_bits()).collect();
+        different.sort_unstable();
+        different.dedup();
+        if let [one] = different[..] {
+            return Self::Uniform(OpticalDepth::from_opacity(f32::from_bits(one)));
+        }
+        let lane = |prim: u32| opacity.get(prim as usize).copied().unwrap_or(0.0);
+        if different.len() > 256 {
+            let lanes = |row: &[u32; LANES]| row.map(|prim| OpticalDepth::from_opacity(lane(prim)));
+            return Self::PerLane(prims.iter().map(lanes).collect());
+        }
+        // Bits of numbers from 0 are in the order of the numbers.
+        let place = |prim: u32| different.binary_search(&lane(prim).to_bits()).unwrap_or(0) as u8;
+        let lanes = prims.iter().map(|row| row.map(place)).collect();
+        Self::Palette(
+            different.iter().map(|&a| OpticalDepth::from_opacity(f32::from_bits(a))).collect(),
+            lanes,
+        )
+    }
+
     #[inline(always)]
-    pub(crate) fn of(&self, prim: u32) -> OpticalDepth {
+    pub(crate) fn of(&self, leaf: usize, lane: usize) -> OpticalDepth {
         match self {
-            Self::Opaque => OpticalDepth::OPAQUE,
             Self::Uniform(depth) => *depth,
-            Self::PerTriangle(depths) => depths[prim as usize],
+            Self::Palette(palette, lanes) => palette[usize::from(lanes[leaf][lane])],
+            Self::PerLane(lanes) => lanes[leaf][lane],
         }
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        if let Self::PerTriangle(depths) = self { size_of_val(&depths[..]) } else { 0 }
+        match self {
+            Self::Uniform(_) => 0,
+            Self::Palette(palette, lanes) => size_of_val(&palette[..]) + size_of_val(&lanes[..]),
+            Self::PerLane(lanes) => size_of_val(&lanes[..]),
+        }
     }
 }
 
 /// What a ray has lost.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Lost {
     /// In nodes, bits.
-    pub(crate) stored: f32,
+    stored: f32,
     /// In triangles.
-    pub(crate) exact: OpticalDepth,
+    exact: OpticalDepth,
+    /// What it may lose in nodes until it is black.
+    room: f32,
+    /// What it may lose in all.
+    limit: f32,
 }
 
 impl Lost {
-    /// Whether a ray that may end at nodes is blocked.
+    /// Nothing yet. A ray that no node may end (`kappa` 0) goes on until nothing at all is left.
     #[inline(always)]
-    pub(crate) fn is_black(&self) -> bool {
-        self.exact.is_opaque() || self.stored + self.exact.bits() > BLACK
+    pub(crate) fn nothing(kappa: f32) -> Self {
+        let limit = if kappa > 0.0 { BLACK } else { f32::INFINITY };
+        Self { stored: 0.0, exact: OpticalDepth::CLEAR, room: limit, limit }
+    }
+
+    /// Adds a node's share; whether the ray is black.
+    #[inline(always)]
+    pub(crate) fn add_stored(&mut self, bits: f32) -> bool {
+        self.stored += bits;
+        self.stored > self.room
+    }
+
+    /// Adds triangles; whether the ray is black.
+    #[inline(always)]
+    pub(crate) fn add_exact(&mut self, depth: OpticalDepth) -> bool {
+        self.exact += depth;
+        self.room = self.limit - self.exact.bits();
+        self.stored > self.room || self.exact.is_opaque()
     }
 
     /// Fraction that passes: that of the triangles alone where no node took part.
@@ -97,7 +144,7 @@ pub(crate) fn leaf_depth<K: Kernel, S: Statistics>(
         let lane = open.trailing_zeros() as usize % LANES;
         open &= open - 1;
         if mask.certain >> lane & 1 == 1 || segment_hits_triangle(ray, block.get(lane)) {
-            depth += depths.of(wide.prims[leaf][lane]);
+            depth += depths.of(leaf, lane);
         }
     }
     depth
@@ -120,8 +167,7 @@ impl<T> Clone for Scene<'_, T> {
 impl<T> Copy for Scene<'_, T> {}
 
 impl<T: Table> Scene<'_, T> {
-    /// What `ray` loses in the subtree of `start`, a child reference. With `exact`, until nothing is left; otherwise until
-    /// [`BLACK`], where all counts as lost.
+    /// Fraction of light that `ray` keeps in the subtree of `start`, a child reference; 0 from [`BLACK`] on.
     #[inline(always)]
     pub(crate) fn walk<K: Kernel, S: StopStatistics>(
         &self,
@@ -131,15 +177,14 @@ impl<T: Table> Scene<'_, T> {
         prepared: &Prepared,
         view: T::View,
         stats: &mut S,
-    ) -> Lost {
+    ) -> f32 {
         let Self { wide, depths, table } = *self;
-        let mut lost = Lost::default();
+        let mut lost = Lost::nothing(prepared.kappa);
         if start & LEAF != 0 {
-            lost.exact = leaf_depth(kernel, wide, depths, (start & !LEAF) as usize, ray, prepared, stats);
-            return lost;
+            let leaf = (start & !LEAF) as usize;
+            let depth = leaf_depth(kernel, wide, depths, leaf, ray, prepared, stats);
+            return if lost.add_exact(depth) { 0.0 } else { lost.transmittance() };
         }
-        let black = Lost { stored: 0.0, exact: OpticalDepth::OPAQUE };
-        let approximate = prepared.kappa > 0.0;
         let mut stack = [(0u32, 0u32); MAX_LEVELS];
         let mut depth = 0;
         let (mut index, mut mask) = (start, 0);
@@ -153,16 +198,15 @@ impl<T: Table> Scene<'_, T> {
                 if stop != 0 {
                     stats.stops(stop, || wide.levels.partition_point(|level| level.end <= index as usize));
                     let rows = table.depths(view, index as usize);
-                    lost.stored += dot(&rows, &fraction);
-                    if lost.is_black() {
-                        return black;
+                    if lost.add_stored(dot(&rows, &fraction)) {
+                        return 0.0;
                     }
                 }
                 mask = descend;
             }
             if mask == 0 {
                 if depth == 0 {
-                    return lost;
+                    return lost.transmittance();
                 }
                 depth -= 1;
                 // Only nodes with children left are on the stack.
@@ -180,11 +224,8 @@ impl<T: Table> Scene<'_, T> {
             } else {
                 let leaf = (child & !LEAF) as usize;
                 let added = leaf_depth(kernel, wide, depths, leaf, ray, prepared, stats);
-                if added != OpticalDepth::CLEAR {
-                    lost.exact += added;
-                    if if approximate { lost.is_black() } else { lost.exact.is_opaque() } {
-                        return black;
-                    }
+                if added != OpticalDepth::CLEAR && lost.add_exact(added) {
+                    return 0.0;
                 }
             }
         }
