@@ -1,6 +1,7 @@
 //! The suites of `cargo xtask bench`: a table for people, one JSON object a line for scripts.
 
 mod anyhit;
+mod aomask;
 #[cfg(feature = "embree")]
 mod embree;
 mod entry;
@@ -16,7 +17,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit, stability.
+    /// Suite: anyhit, aomask, stability.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -33,6 +34,9 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
+    /// Only this part of the suite aomask: targets, table1.
+    #[arg(long, value_name = "NAME")]
+    part: Option<String>,
 }
 
 fn main() -> Result<()> {
@@ -48,10 +52,14 @@ fn main() -> Result<()> {
             let Arguments { quick, peers, threads, only, .. } = arguments;
             anyhit::run(&anyhit::Options { quick, peers, threads, only }, &mut output)
         }
+        "aomask" => {
+            let Arguments { quick, peers, only, part, .. } = arguments;
+            aomask::run(&aomask::Options { quick, peers, only, part }, &mut output)
+        }
         "stability" => {
             let Arguments { quick, peers, only, .. } = arguments;
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
-        other => bail!("unknown suite '{other}', expected anyhit or stability"),
+        other => bail!("unknown suite '{other}', expected anyhit, aomask or stability"),
     }
 }

@@ -5,7 +5,7 @@
 //! against `bvh`, and `bvh` against each peer asked for.
 
 mod measure;
-mod ours;
+pub mod ours;
 mod workloads;
 
 use self::{measure::Setting, ours::Ours, workloads::Case};
@@ -97,6 +97,7 @@ fn depth_entries<'a>(
 ) -> Vec<Box<dyn Entry<OpticalDepth> + 'a>> {
     let opacity = OpticalDepth::from_opacity(ALPHA);
     // What SIMD is worth, the opaque rows show.
-    let own = ours.iter().filter(|method| !method.scalar).map(|method| method.transmittance(rays, opacity));
+    let own =
+        ours.iter().filter(|method| !method.scalar).flat_map(|method| method.transmittance(rays, opacity));
     own.chain(peers.iter().flat_map(|peer| peer.transmittance(rays, opacity))).collect()
 }

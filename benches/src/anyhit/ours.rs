@@ -33,6 +33,11 @@ impl Ours {
         Ok(Self { name, scalar, bvh, build_s })
     }
 
+    /// The hierarchy.
+    pub fn bvh(&self) -> &Bvh {
+        &self.bvh
+    }
+
     /// Any hit of a slice and, but for the slow scalar form, ray by ray.
     pub fn any_hit<'a>(&'a self, rays: &'a [Ray]) -> Vec<Box<dyn Entry<bool> + 'a>> {
         let calls: &[bool] = if self.scalar { &[true] } else { &[true, false] };
@@ -43,14 +48,17 @@ impl Ours {
         calls.iter().map(entry).collect()
     }
 
-    /// Transmittance, ray by ray.
+    /// Transmittance of a slice, and ray by ray.
     pub fn transmittance<'a>(
         &'a self,
         rays: &'a [Ray],
         opacity: OpticalDepth,
-    ) -> Box<dyn Entry<OpticalDepth> + 'a> {
-        let depths = vec![OpticalDepth::CLEAR; rays.len()];
-        Box::new(Transmittance { ours: self, rays, opacity, depths })
+    ) -> Vec<Box<dyn Entry<OpticalDepth> + 'a>> {
+        let entry = |slice: bool| -> Box<dyn Entry<OpticalDepth> + 'a> {
+            let depths = vec![OpticalDepth::CLEAR; rays.len()];
+            Box::new(Transmittance { ours: self, rays, slice, opacity, depths })
+        };
+        vec![entry(true), entry(false)]
     }
 }
 
@@ -114,6 +122,7 @@ impl Entry<bool> for AnyHit<'_> {
 struct Transmittance<'a> {
     ours: &'a Ours,
     rays: &'a [Ray],
+    slice: bool,
     opacity: OpticalDepth,
     depths: Vec<OpticalDepth>,
 }
@@ -124,7 +133,7 @@ impl Entry<OpticalDepth> for Transmittance<'_> {
     }
 
     fn mode(&self) -> String {
-        "single".into()
+        if self.slice { "slice" } else { "single" }.into()
     }
 
     fn build_s(&self) -> f64 {
@@ -136,10 +145,13 @@ impl Entry<OpticalDepth> for Transmittance<'_> {
     }
 
     fn run(&mut self, pool: Option<&ThreadPool>) {
-        let (bvh, opacity) = (&self.ours.bvh, self.opacity);
+        let (bvh, opacity, slice) = (&self.ours.bvh, self.opacity, self.slice);
         in_chunks(pool, self.rays, &mut self.depths, |rays, depths| {
-            for (ray, depth) in rays.iter().zip(depths) {
-                *depth = bvh.transmittance(ray, |_| opacity);
+            if slice {
+                bvh.transmittances_with(rays, |_| opacity, depths, &mut ());
+            } else {
+                let each = rays.iter().zip(depths);
+                each.for_each(|(ray, depth)| *depth = bvh.transmittance(ray, |_| opacity));
             }
         });
     }

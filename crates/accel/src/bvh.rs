@@ -1,14 +1,15 @@
 //! The hierarchy over the triangles of one mesh.
 
 use crate::{
-    BackEnd, BuildError, BuildOptions, Statistics,
+    BackEnd, BuildError, BuildOptions, Statistics, fan,
     kernel::{Job, Kernel},
     node::Tree,
     packet,
     topology::Topology,
     traversal,
 };
-use std::ops::ControlFlow;
+use fan::Goal;
+use std::ops::{ControlFlow, Range};
 use umbrage_geom::{
     Aabb, OpticalDepth, Ray, TriangleHit,
     kernel::{LANES, TriangleBlock},
@@ -54,22 +55,48 @@ impl Hit {
 /// open, triangles are closed, rays that are not [valid](Ray::is_valid) and degenerate triangles miss.
 ///
 /// # Layout
-/// Nodes of 256 bytes, four cache lines; leaves are blocks of up to eight triangles of 288 bytes, with 32 for indices.
+/// Nodes and leaves are 128 bytes, two cache lines. A leaf has up to eight triangles over up to eight vertices, with 32 bytes
+/// more for the indices of its vertices and 4 for that of each triangle.
 #[derive(Clone, Debug)]
 pub struct Bvh {
     pub(crate) tree: Tree,
-    /// Leaf by leaf.
+    /// Leaf by leaf; the tag is where the leaf starts in `prims`.
     pub(crate) blocks: Vec<TriangleBlock>,
-    /// Index of each lane's triangle; unused lanes, which come last, have `u32::MAX`.
-    pub(crate) prims: Vec<[u32; LANES]>,
-    /// The caller's, for refits.
-    triangles: Vec<[u32; 3]>,
-    vertices: usize,
+    /// Indices of triangles in the caller's array.
+    pub(crate) prims: Vec<u32>,
+    /// The caller's vertices in each leaf, for refits; `u32::MAX` after the last.
+    vertices: Vec<[u32; LANES]>,
+    /// Number of the caller's vertices.
+    vertex_count: usize,
     back_end: BackEnd,
 }
 
 fn corners(positions: &[[f32; 3]], triangle: [u32; 3]) -> [[f32; 3]; 3] {
     triangle.map(|v| positions[v as usize])
+}
+
+/// The vertices of a leaf's triangles, each once.
+struct Vertices {
+    /// `u32::MAX` after the last.
+    ids: [u32; LANES],
+    /// By triangle: places in `ids`.
+    corners: [[u8; 3]; LANES],
+}
+
+impl Vertices {
+    /// `None` if there are more than a leaf holds.
+    fn of(triangles: &[[u32; 3]], run: &[u32]) -> Option<Self> {
+        let mut this = Self { ids: [u32::MAX; LANES], corners: [[0; 3]; LANES] };
+        for (corners, &prim) in this.corners.iter_mut().zip(run) {
+            for (corner, id) in corners.iter_mut().zip(triangles[prim as usize]) {
+                // The first place that holds this vertex, or none yet.
+                let place = this.ids.iter().position(|&known| known == id || known == u32::MAX)?;
+                this.ids[place] = id;
+                *corner = place as u8;
+            }
+        }
+        Some(this)
+    }
 }
 
 fn triangle_boxes(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<Aabb> {
@@ -87,7 +114,8 @@ impl Bvh {
     /// Builds over all `triangles`; takes `O(n log n)` time.
     ///
     /// # Errors
-    /// [`BuildError::Mesh`] as from [`validate_slices`]; [`BuildError::TooMany`] beyond `2^30` triangles.
+    /// [`BuildError::Mesh`] as from [`validate_slices`]; [`BuildError::TooMany`] beyond `2^30` triangles or
+    /// `2^32 - 2` vertices.
     pub fn build(
         positions: &[[f32; 3]],
         triangles: &[[u32; 3]],
@@ -97,29 +125,39 @@ impl Bvh {
         if triangles.len() > MAX_PRIMS {
             return Err(BuildError::TooMany { what: "triangles", count: triangles.len(), limit: MAX_PRIMS });
         }
+        if positions.len() >= u32::MAX as usize {
+            let (count, limit) = (positions.len(), u32::MAX as usize - 1);
+            return Err(BuildError::TooMany { what: "vertices", count, limit });
+        }
         let boxes = triangle_boxes(positions, triangles);
-        let leaf_size = u32::from(options.leaf_size).clamp(1, LANES as u32);
-        let topology = Topology::build(&boxes, options.quality, leaf_size);
-        let leaves = topology.leaves.iter();
-        let prims = leaves.map(|leaf| {
-            let mut lanes = [u32::MAX; LANES];
+        let leaf_size = usize::from(options.leaf_size).clamp(1, LANES);
+        let fits = |run: &[u32]| run.len() <= leaf_size && Vertices::of(triangles, run).is_some();
+        let topology = Topology::build(&boxes, options.quality, fits);
+        let (mut blocks, mut vertices) = (Vec::new(), Vec::new());
+        blocks.reserve_exact(topology.leaves.len());
+        vertices.reserve_exact(topology.leaves.len());
+        for leaf in &topology.leaves {
             let run = &topology.order[leaf.start as usize..leaf.end as usize];
-            lanes[..run.len()].copy_from_slice(run);
-            lanes
-        });
+            let of = Vertices::of(triangles, run).expect("one triangle has three vertices");
+            let mut block =
+                TriangleBlock::new(&[[0.0; 3]; LANES], &of.corners[..run.len()]).expect("it fits by now");
+            block.tag = leaf.start;
+            blocks.push(block);
+            vertices.push(of.ids);
+        }
         let mut bvh = Self {
-            tree: Tree { nodes: topology.nodes },
-            blocks: vec![TriangleBlock::EMPTY; topology.leaves.len()],
-            prims: prims.collect(),
-            triangles: triangles.to_vec(),
-            vertices: positions.len(),
+            tree: Tree::new(topology.nodes),
+            blocks,
+            prims: topology.order,
+            vertices,
+            vertex_count: positions.len(),
             back_end: BackEnd::best(),
         };
         bvh.fill(positions);
         Ok(bvh)
     }
 
-    /// Moves the vertices and keeps the tree; takes linear time and no memory.
+    /// Moves the vertices and keeps the tree; takes linear time.
     ///
     /// Answers stay exact for any motion. Queries get slower the more the mesh deforms: build again then.
     ///
@@ -127,11 +165,11 @@ impl Bvh {
     /// [`BuildError::Count`] unless there are as many `positions` as at the build; [`BuildError::Mesh`] for coordinates as
     /// from [`validate_positions`]. Nothing has moved then.
     pub fn refit(&mut self, positions: &[[f32; 3]]) -> Result<(), BuildError> {
-        if positions.len() != self.vertices {
+        if positions.len() != self.vertex_count {
             return Err(BuildError::Count {
                 what: "vertices",
                 count: positions.len(),
-                expected: self.vertices,
+                expected: self.vertex_count,
             });
         }
         validate_positions(positions)?;
@@ -139,23 +177,24 @@ impl Bvh {
         Ok(())
     }
 
-    /// Triangles in a leaf.
+    /// Index of a leaf's triangle in the caller's array.
     #[inline]
-    pub(crate) fn leaf_len(&self, leaf: usize) -> usize {
-        self.prims[leaf].iter().take_while(|&&prim| prim != u32::MAX).count()
+    pub(crate) fn prim(&self, leaf: usize, lane: usize) -> u32 {
+        self.prims[self.blocks[leaf].tag as usize + lane]
     }
 
-    /// Writes corners into leaves and boxes into nodes.
+    /// Writes vertices into leaves and boxes into nodes.
     fn fill(&mut self, positions: &[[f32; 3]]) {
-        for (block, prims) in self.blocks.iter_mut().zip(&self.prims) {
-            for (lane, &prim) in prims.iter().enumerate().take_while(|&(_, &prim)| prim != u32::MAX) {
-                block.set(lane, corners(positions, self.triangles[prim as usize]));
-            }
+        for (block, ids) in self.blocks.iter_mut().zip(&self.vertices) {
+            let mut vertices = [[0.0; 3]; LANES];
+            let used = ids.iter().take_while(|&&id| id != u32::MAX);
+            let len = vertices.iter_mut().zip(used).map(|(v, &id)| *v = positions[id as usize]).count();
+            block.move_vertices(&vertices[..len]);
         }
-        let Self { tree, blocks, prims, .. } = self;
-        tree.refit(|leaf| {
-            let used = prims[leaf].iter().take_while(|&&prim| prim != u32::MAX).count();
-            (0..used).flat_map(|lane| blocks[leaf].get(lane)).fold(Aabb::EMPTY, Aabb::with_point)
+        let vertices = &self.vertices;
+        self.tree.refit(|leaf| {
+            let used = vertices[leaf].iter().take_while(|&&id| id != u32::MAX);
+            used.fold(Aabb::EMPTY, |aabb, &id| aabb.with_point(positions[id as usize]))
         });
     }
 
@@ -241,22 +280,61 @@ impl Bvh {
         self.back_end.run(AnyHits { bvh: self, rays, hits, stats });
     }
 
-    /// Smallest box around all triangles.
-    pub fn bounds(&self) -> Aabb {
-        self.tree.bounds()
+    /// [`Self::transmittance`] of each ray. With the `rayon` feature, over all threads of the caller's pool.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn transmittances(
+        &self,
+        rays: &[Ray],
+        depth_of: impl Fn(u32) -> OpticalDepth + Sync,
+        sums: &mut [OpticalDepth],
+    ) {
+        assert_eq!(rays.len(), sums.len(), "as many answers as rays");
+        let depth_of = &depth_of;
+        let batch = |(rays, sums)| {
+            self.back_end.run(Transmittances { bvh: self, rays, depth_of, sums, stats: &mut () });
+        };
+        #[cfg(feature = "rayon")]
+        {
+            use rayon::prelude::*;
+            rays.par_chunks(1 << 11).zip(sums.par_chunks_mut(1 << 11)).for_each(batch);
+        }
+        #[cfg(not(feature = "rayon"))]
+        batch((rays, sums));
     }
 
-    /// Bytes that the hierarchy holds, its copy of the triangles and indices included.
+    /// [`Self::transmittances`], counted, on this thread alone.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn transmittances_with(
+        &self,
+        rays: &[Ray],
+        depth_of: impl Fn(u32) -> OpticalDepth,
+        sums: &mut [OpticalDepth],
+        stats: &mut impl Statistics,
+    ) {
+        assert_eq!(rays.len(), sums.len(), "as many answers as rays");
+        self.back_end.run(Transmittances { bvh: self, rays, depth_of: &depth_of, sums, stats });
+    }
+
+    /// Smallest box around all triangles.
+    pub fn bounds(&self) -> Aabb {
+        self.tree.bounds
+    }
+
+    /// Bytes that the hierarchy holds, its copies of vertices and indices included.
     pub fn bytes(&self) -> usize {
         self.tree.bytes()
             + size_of_val(&self.blocks[..])
             + size_of_val(&self.prims[..])
-            + size_of_val(&self.triangles[..])
+            + size_of_val(&self.vertices[..])
     }
 
     /// Number of triangles.
     pub fn prim_count(&self) -> usize {
-        self.triangles.len()
+        self.prims.len()
     }
 
     /// What queries run on.
@@ -304,10 +382,13 @@ impl<S: Statistics> Job for AnyHits<'_, S> {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let mut scratch = packet::Scratch::new();
-        for (rays, hits) in self.rays.chunks(packet::PACKET).zip(self.hits.chunks_mut(packet::PACKET)) {
-            packet::any_hits(kernel, self.bvh, rays, hits, &mut scratch, self.stats);
-        }
+        let Self { bvh, rays, hits, stats } = self;
+        hits.fill(false);
+        let mut packets = packet::Scratch::new();
+        let packet = |goal: &mut fan::AnyHit<'_>, range: Range<usize>, stats: &mut S| {
+            packet::any_hits(kernel, bvh, &rays[range.clone()], &mut goal.hits[range], &mut packets, stats);
+        };
+        fan::answer(kernel, bvh, rays, &mut fan::AnyHit { rays, hits }, packet, stats);
     }
 }
 
@@ -354,14 +435,28 @@ impl<F: Fn(u32) -> OpticalDepth, S: Statistics> Job for Transmittance<'_, F, S> 
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> OpticalDepth {
-        let mut sum = OpticalDepth::CLEAR;
-        let mut add = |prim| {
-            sum += (self.depth_of)(prim);
-            if sum.is_opaque() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        traversal::transmittance(kernel, self.bvh, self.ray, &self.depth_of, self.stats)
+    }
+}
+
+struct Transmittances<'a, F, S> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
+    depth_of: &'a F,
+    sums: &'a mut [OpticalDepth],
+    stats: &'a mut S,
+}
+
+impl<F: Fn(u32) -> OpticalDepth, S: Statistics> Job for Transmittances<'_, F, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        let Self { bvh, rays, depth_of, sums, stats } = self;
+        sums.fill(OpticalDepth::CLEAR);
+        let alone = |goal: &mut fan::Transmittance<'_, F>, range: Range<usize>, stats: &mut S| {
+            range.for_each(|index| goal.alone(kernel, bvh, index, stats));
         };
-        match traversal::for_each_crossing(kernel, self.bvh, self.ray, &mut add, self.stats) {
-            ControlFlow::Break(()) => OpticalDepth::OPAQUE,
-            ControlFlow::Continue(()) => sum,
-        }
+        fan::answer(kernel, bvh, rays, &mut fan::Transmittance { rays, sums, depth_of }, alone, stats);
     }
 }

@@ -204,7 +204,7 @@ impl InstancedBvh {
         let mut this = Self {
             bvhs,
             instances: Vec::new(),
-            tree: Tree { nodes: Vec::new() },
+            tree: Tree::new(Vec::new()),
             origin_pad: 0.0,
             shortest: 0.0,
             bounds: Aabb::EMPTY,
@@ -212,7 +212,7 @@ impl InstancedBvh {
         };
         let boxes = this.place(placements)?;
         if !boxes.is_empty() {
-            let topology = Topology::build(&boxes, BuildQuality::High, 1);
+            let topology = Topology::build(&boxes, BuildQuality::High, |_| false);
             this.tree.nodes = topology.nodes;
             // Leaves name instances directly.
             for child in this.tree.nodes.iter_mut().flat_map(|node| &mut node.children) {
@@ -222,7 +222,7 @@ impl InstancedBvh {
                 }
             }
             this.tree.refit(|instance| boxes[instance]);
-            this.bounds = this.tree.bounds();
+            this.bounds = this.tree.bounds;
         }
         Ok(this)
     }
@@ -253,7 +253,7 @@ impl InstancedBvh {
             Ok(boxes) if boxes.is_empty() => Ok(()),
             Ok(boxes) => {
                 self.tree.refit(|instance| boxes[instance]);
-                self.bounds = self.tree.bounds();
+                self.bounds = self.tree.bounds;
                 Ok(())
             }
             Err(error) => {

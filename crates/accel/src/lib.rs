@@ -5,6 +5,7 @@ pub mod brute;
 mod binary;
 mod bvh;
 mod error;
+mod fan;
 mod instances;
 mod kernel;
 mod node;
@@ -13,6 +14,7 @@ mod packet;
 mod statistics;
 mod topology;
 mod traversal;
+mod view;
 
 pub use binary::{BinaryNode, BinaryTree};
 pub use bvh::{Bvh, Hit};
@@ -21,3 +23,4 @@ pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, obj
 pub use kernel::BackEnd;
 pub use options::{BuildOptions, BuildQuality};
 pub use statistics::{Counters, Statistics};
+pub use view::{Child, NodeView, View};

@@ -133,7 +133,7 @@ fn leaf_hits<K: Kernel, S: Statistics>(
         let r = rest.trailing_zeros() as usize;
         rest &= rest - 1;
         let mask = kernel.filter(block, &prepared[r].block);
-        stats.triangles(bvh.leaf_len(leaf) as u32);
+        stats.triangles(bvh.blocks[leaf].len() as u32);
         stats.uncertain(mask.uncertain.count_ones());
         let mut hit = mask.certain != 0;
         let mut open = mask.uncertain;

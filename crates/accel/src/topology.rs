@@ -20,7 +20,7 @@ const BALANCE_FROM: usize = MAX_LEVELS - 12;
 /// An 8-wide tree without boxes.
 pub(crate) struct Topology {
     pub(crate) nodes: Vec<Node>,
-    /// Each leaf's part of `order`, 1 to `leaf_size` long.
+    /// Each leaf's part of `order`.
     pub(crate) leaves: Vec<Range<u32>>,
     /// The primitives, leaf by leaf.
     pub(crate) order: Vec<u32>,
@@ -181,26 +181,31 @@ impl Part {
     }
 }
 
-/// Up to eight parts of `part`, opening the one of largest area first, largest first in the result.
-fn open(part: Part, binary: &Binary, leaf_size: u32) -> Vec<Part> {
-    let is_leaf = |p: &Part| p.range(binary).len() as u32 <= leaf_size;
-    let mut parts = vec![part];
+/// Up to eight parts of `part`, opening the one of largest area first, largest first in the result; true for leaves.
+fn open(part: Part, binary: &Binary, is_leaf: &impl Fn(Part) -> bool) -> Vec<(Part, bool)> {
+    let mut parts = Vec::with_capacity(WIDTH);
+    parts.push((part, is_leaf(part)));
     while parts.len() < WIDTH {
-        let candidates = parts.iter().enumerate().filter(|(_, p)| !is_leaf(p));
-        let largest = candidates.max_by(|a, b| a.1.priority(binary).total_cmp(&b.1.priority(binary)));
-        let Some((index, &largest)) = largest else { break };
-        let [left, right] = largest.split(binary);
+        let candidates = parts.iter().enumerate().filter(|(_, (_, leaf))| !leaf);
+        let largest = candidates.max_by(|a, b| a.1.0.priority(binary).total_cmp(&b.1.0.priority(binary)));
+        let Some((index, &(largest, _))) = largest else { break };
+        let [left, right] = largest.split(binary).map(|part| (part, is_leaf(part)));
         parts[index] = left;
         parts.push(right);
     }
-    parts.sort_by(|a, b| b.priority(binary).total_cmp(&a.priority(binary)));
+    parts.sort_by(|a, b| b.0.priority(binary).total_cmp(&a.0.priority(binary)));
     parts
 }
 
 impl Topology {
-    /// A tree over `boxes`, of which there is at least one, with leaves of at most `leaf_size` primitives.
-    pub(crate) fn build(boxes: &[Aabb], quality: BuildQuality, leaf_size: u32) -> Self {
+    /// A tree over `boxes`, of which there is at least one; `fits` says whether a leaf can hold some primitives, one being
+    /// always few enough.
+    pub(crate) fn build(boxes: &[Aabb], quality: BuildQuality, fits: impl Fn(&[u32]) -> bool) -> Self {
         let binary = Binary::build(boxes, quality);
+        let is_leaf = |part: Part| {
+            let Range { start, end } = part.range(&binary);
+            end - start == 1 || fits(&binary.order[start as usize..end as usize])
+        };
         let mut nodes = vec![Node::EMPTY];
         let mut leaves = Vec::new();
         // (part, index of its node, level)
@@ -213,10 +218,9 @@ impl Topology {
                 Part::Run { first: range.start, count: range.len() as u32 }
             };
             let mut inner = Vec::with_capacity(WIDTH);
-            for (slot, child) in open(part, &binary, leaf_size).into_iter().enumerate() {
-                let range = child.range(&binary);
-                nodes[index].children[slot] = if range.len() as u32 <= leaf_size {
-                    leaves.push(range);
+            for (slot, (child, leaf)) in open(part, &binary, &is_leaf).into_iter().enumerate() {
+                nodes[index].children[slot] = if leaf {
+                    leaves.push(child.range(&binary));
                     LEAF | (leaves.len() - 1) as u32
                 } else {
                     inner.push((child, nodes.len(), level + 1));

@@ -7,7 +7,7 @@ use crate::{
 };
 use std::ops::ControlFlow;
 use umbrage_geom::{
-    Ray, TriangleHit, intersect_triangle,
+    OpticalDepth, Ray, TriangleHit, intersect_triangle,
     kernel::{BlockMask, BlockRay, LANES},
     segment_hits_triangle,
 };
@@ -137,7 +137,7 @@ fn filter<K: Kernel, S: Statistics>(
     stats: &mut S,
 ) -> BlockMask {
     let mask = kernel.filter(&bvh.blocks[leaf], ray);
-    stats.triangles(bvh.leaf_len(leaf) as u32);
+    stats.triangles(bvh.blocks[leaf].len() as u32);
     stats.uncertain(mask.uncertain.count_ones());
     mask
 }
@@ -215,7 +215,7 @@ pub(crate) fn for_each_hit<K: Kernel, S: Statistics>(
         while open != 0 {
             let lane = take_lane(&mut open);
             if let Some(hit) = intersect_triangle(ray, bvh.blocks[leaf].get(lane)) {
-                visit(bvh.prims[leaf][lane], hit)?;
+                visit(bvh.prim(leaf, lane), hit)?;
             }
         }
     }
@@ -239,11 +239,31 @@ pub(crate) fn for_each_crossing<K: Kernel, S: Statistics>(
         while open != 0 {
             let lane = take_lane(&mut open);
             if mask.certain >> lane & 1 == 1 || segment_hits_triangle(ray, bvh.blocks[leaf].get(lane)) {
-                visit(bvh.prims[leaf][lane])?;
+                visit(bvh.prim(leaf, lane))?;
             }
         }
     }
     ControlFlow::Continue(())
+}
+
+/// The sum of `depth_of` over all triangles hit, opaque as soon as nothing gets through.
+#[inline(always)]
+pub(crate) fn transmittance<K: Kernel, S: Statistics>(
+    kernel: K,
+    bvh: &Bvh,
+    ray: &Ray,
+    depth_of: &impl Fn(u32) -> OpticalDepth,
+    stats: &mut S,
+) -> OpticalDepth {
+    let mut sum = OpticalDepth::CLEAR;
+    let mut add = |prim| {
+        sum += depth_of(prim);
+        if sum.is_opaque() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    match for_each_crossing(kernel, bvh, ray, &mut add, stats) {
+        ControlFlow::Break(()) => OpticalDepth::OPAQUE,
+        ControlFlow::Continue(()) => sum,
+    }
 }
 
 /// The closest hit that is not behind `limit` (in `t`; ties with it are reported), if any.
@@ -271,7 +291,7 @@ pub(crate) fn closest_hit<K: Kernel, S: Statistics>(
         while open != 0 {
             let lane = take_lane(&mut open);
             let Some(hit) = intersect_triangle(ray, bvh.blocks[leaf].get(lane)) else { continue };
-            let hit = Hit::new(bvh.prims[leaf][lane], hit);
+            let hit = Hit::new(bvh.prim(leaf, lane), hit);
             if closest.is_none_or(|closest| hit.is_before(&closest)) {
                 closest = Some(hit);
                 let end = just_behind(hit.t).min(ray.tfar);

@@ -193,7 +193,8 @@ fn counters_count() {
         let x = i as f32;
         [[x, 0.0, 0.0], [x + 1.0, 0.0, 0.0], [x, 1.0, 0.0]]
     }));
-    for back_end in [BackEnd::Scalar, BackEnd::Avx2].into_iter().filter(|b| b.is_supported()) {
+    for back_end in [BackEnd::Scalar, BackEnd::Avx2, BackEnd::Avx512].into_iter().filter(|b| b.is_supported())
+    {
         let bvh = Bvh::build(&p, &t, &BuildOptions::default()).unwrap().with_back_end(back_end).unwrap();
         let mut counters = Counters::default();
         assert!(bvh.any_hit_with(&Ray::new([500.25, 0.25, -1.0], [0.0, 0.0, 1.0]), &mut counters));

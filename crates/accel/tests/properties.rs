@@ -81,7 +81,7 @@ fn make_ray((positions, triangles): &Soup, (o, d, target, (u, v), direction, end
 }
 
 fn back_ends() -> impl Iterator<Item = BackEnd> {
-    [BackEnd::Scalar, BackEnd::Avx2].into_iter().filter(|b| b.is_supported())
+    [BackEnd::Scalar, BackEnd::Avx2, BackEnd::Avx512].into_iter().filter(|b| b.is_supported())
 }
 
 /// Depths of opaque, clear and half-clear triangles.
@@ -112,16 +112,28 @@ fn agrees(bvh: &Bvh, (positions, triangles): &Soup, rays: &[Ray]) -> Result<(), 
                 prop_assert_eq!(sum, brute::transmittance(positions, triangles, ray, depth));
             }
         }
-        // Packets: as given, from one origin, and more of them than fit into one, invalid ones between.
+        // Slices: as given; from one origin, more of them than a fan holds, invalid ones between; fans of narrow and of
+        // short rays; fans of several origins.
         let origin = rays.first().map_or(Vec3::ZERO, |ray| ray.origin);
-        let fan: Vec<Ray> = rays.iter().map(|ray| Ray { origin, ..*ray }).collect();
         let invalid = Ray { tfar: f32::NAN, ..Ray::new(origin, Vec3::X) };
-        let many: Vec<Ray> = rays.iter().chain(&fan).chain([&invalid]).cycle().take(41).copied().collect();
-        for batch in [rays, &fan, &many] {
+        let fan: Vec<Ray> = rays.iter().map(|ray| Ray { origin, ..*ray }).chain([invalid]).collect();
+        let many: Vec<Ray> = rays.iter().chain(&fan).chain(&fan).cycle().take(150).copied().collect();
+        let like = |ray: &Ray, i: usize, tfar: f32| {
+            let turn = Vec3::from([0, 5, 10].map(|bits| (i as u32 * 40_503 >> bits) as f32 % 32.0 / 64.0));
+            Ray { direction: ray.direction * (Vec3::ONE + turn), tfar, ..*ray }
+        };
+        let narrow: Vec<Ray> = (0..100).map(|i| like(&rays[i / 25 % rays.len()], i, f32::INFINITY)).collect();
+        let short: Vec<Ray> = (0..100).map(|i| like(&rays[i / 50 % rays.len()], i, 1.0)).collect();
+        for batch in [rays, &fan, &many, &narrow, &short] {
             let mut hits = vec![true; batch.len()];
             bvh.any_hits(batch, &mut hits);
             for (ray, hit) in batch.iter().zip(hits) {
                 prop_assert_eq!(brute::any_hit(positions, triangles, ray), hit, "{:?} {:?}", back_end, ray);
+            }
+            let mut sums = vec![OpticalDepth::OPAQUE; batch.len()];
+            bvh.transmittances(batch, depth, &mut sums);
+            for (ray, sum) in batch.iter().zip(sums) {
+                prop_assert_eq!(brute::transmittance(positions, triangles, ray, depth), sum);
             }
         }
     }

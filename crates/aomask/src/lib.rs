@@ -1,2 +1,17 @@
 #![doc = include_str!("../README.md")]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)] // but for `kernel/x86.rs`
+
+mod drive;
+mod error;
+mod kernel;
+mod options;
+pub mod pattern;
+mod receiver;
+pub mod table;
+
+pub use error::MaskError;
+pub use kernel::BackEnd;
+pub use options::{MaskOptions, Outputs, Sides};
+pub use pattern::{Pattern, PatternOptions};
+pub use receiver::Receiver;
+pub use table::{MaskTables, NodeMasks, TableOptions};

@@ -8,17 +8,20 @@ pub(crate) use scalar::Scalar;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use umbrage_geom::kernel::x86::Avx2;
 
-use crate::node::{Node, WIDTH};
+use crate::node::{MAX_LEVELS, Node, WIDTH};
 use umbrage_geom::{
     Ray, SlabRay,
-    kernel::{BlockMask, BlockRay, TriangleBlock},
+    kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
 };
+
+/// Most rays that walk together.
+pub(crate) const FAN: usize = 32;
 
 /// A valid ray prepared for boxes of nodes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NodeRay {
     pub(crate) slab: SlabRay,
-    /// Row of [`Node::bounds`] that holds the near plane of each axis, even or odd; the far plane is its neighbour.
+    /// Row of [`Node::grid`] that holds the near plane of each axis, even or odd; the far plane is its neighbour.
     near_row: [usize; 3],
 }
 
@@ -45,6 +48,26 @@ impl Prepared {
     }
 }
 
+/// Boxes of a node relative to the origin of a fan: the rows of [`Node`], as planes.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Rows(pub(crate) [[f32; WIDTH]; 6]);
+
+/// Entries of [`Stack`]: the most that a walk can push, and room for writing a whole node at once.
+const STACK: usize = (WIDTH - 1) * MAX_LEVELS + 1 + WIDTH;
+
+/// Children to visit, and for each the rays that enter it.
+pub(crate) struct Stack {
+    pub(crate) children: [u32; STACK],
+    pub(crate) rays: [u32; STACK],
+}
+
+impl Stack {
+    pub(crate) fn new() -> Self {
+        Self { children: [0; STACK], rays: [0; STACK] }
+    }
+}
+
 /// One traversal step on some instruction set.
 pub(crate) trait Kernel: Copy {
     /// Bit `i` is set when the ray may enter child `i` before `tfar` (scaled as by [`SlabRay`]).
@@ -55,6 +78,41 @@ pub(crate) trait Kernel: Copy {
 
     /// See [`umbrage_geom::kernel`].
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask;
+
+    /// The boxes of `node`, moved so that `origin` is at 0.
+    fn rows(self, node: &Node, origin: [f32; 3]) -> Rows;
+
+    /// Children that ray `r` of a fan may enter; of no meaning in empty slots.
+    fn fan_mask<const N: usize>(self, rows: &Rows, rays: &FanRays<N>, r: usize) -> u32;
+
+    /// Bit `i` is set when child `i` reaches into the box `[low, high]`; of no meaning in empty slots.
+    fn overlap(self, rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32;
+
+    /// Asks for the cache lines of `bytes` bytes from `target`, which may be any address.
+    fn prefetch(self, target: *const u8, bytes: usize);
+
+    /// A leaf seen from the origin of a fan.
+    type Planes: Copy;
+
+    /// See [`umbrage_geom::kernel::fan`].
+    fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Self::Planes;
+
+    /// See [`umbrage_geom::kernel::fan`].
+    fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask;
+
+    /// Pushes those of the `wanted` children that some ray in `left` may enter, each with the rays that may, smaller boxes
+    /// first. Returns the new height of the stack.
+    #[allow(clippy::too_many_arguments)] // the state of one loop
+    fn fan_push(
+        self,
+        children: &[u32; WIDTH],
+        rows: &Rows,
+        rays: &FanRays<FAN>,
+        left: u32,
+        wanted: u32,
+        stack: &mut Stack,
+        top: usize,
+    ) -> usize;
 }
 
 /// Work that runs on any kernel.
@@ -72,12 +130,15 @@ pub enum BackEnd {
     Scalar,
     /// AVX2 and FMA, eight at a time.
     Avx2,
+    /// The same with 32 registers and mask registers.
+    Avx512,
 }
 
 impl BackEnd {
     /// The fastest one that this processor has.
     pub fn best() -> Self {
-        if Self::Avx2.is_supported() { Self::Avx2 } else { Self::Scalar }
+        let fastest_first = [Self::Avx512, Self::Avx2];
+        fastest_first.into_iter().find(|back_end| back_end.is_supported()).unwrap_or(Self::Scalar)
     }
 
     /// Whether this processor has it.
@@ -86,8 +147,10 @@ impl BackEnd {
             Self::Scalar => true,
             #[cfg(target_arch = "x86_64")]
             Self::Avx2 => Avx2::detect().is_some(),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => x86::Avx512::detect().is_some(),
             #[cfg(not(target_arch = "x86_64"))]
-            Self::Avx2 => false,
+            Self::Avx2 | Self::Avx512 => false,
         }
     }
 
@@ -98,6 +161,11 @@ impl BackEnd {
             #[cfg(target_arch = "x86_64")]
             Self::Avx2 => match Avx2::detect() {
                 Some(avx2) => x86::run(avx2, job),
+                None => job.run(Scalar),
+            },
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => match x86::Avx512::detect() {
+                Some(avx512) => avx512.run(job),
                 None => job.run(Scalar),
             },
             _ => job.run(Scalar),

@@ -1,8 +1,12 @@
 //! The oracle: plain operations, one child at a time.
 
-use super::{Kernel, NodeRay};
+use super::{FAN, Kernel, NodeRay, Rows, Stack};
 use crate::node::{Node, WIDTH};
-use umbrage_geom::kernel::{BlockMask, BlockRay, TriangleBlock, scalar};
+use umbrage_geom::kernel::{
+    BlockMask, BlockRay, TriangleBlock,
+    fan::{self, FanRays},
+    scalar,
+};
 
 /// Portable code.
 #[derive(Clone, Copy, Debug)]
@@ -19,7 +23,7 @@ impl Kernel for Scalar {
         let mut exits = [tfar; WIDTH];
         *entries = [ray.slab.tnear; WIDTH];
         for axis in 0..3 {
-            let (near, far) = (&node.bounds[ray.near_row[axis]], &node.bounds[ray.near_row[axis] ^ 1]);
+            let (near, far) = (node.row(ray.near_row[axis]), node.row(ray.near_row[axis] ^ 1));
             for i in 0..WIDTH {
                 // The comparisons are false for NaN, which drops it.
                 let entry = (near[i] - ray.slab.origin_near[axis]) * ray.slab.inv_near[axis];
@@ -28,11 +32,78 @@ impl Kernel for Scalar {
                 exits[i] = if exit < exits[i] { exit } else { exits[i] };
             }
         }
-        (0..WIDTH).fold(0, |mask, i| mask | u32::from(entries[i] <= exits[i]) << i)
+        (0..WIDTH).fold(0, |mask, i| mask | u32::from(entries[i] <= exits[i]) << i) & node.used
     }
 
     #[inline]
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
         scalar::filter(block, ray)
+    }
+
+    #[inline]
+    fn rows(self, node: &Node, origin: [f32; 3]) -> Rows {
+        Rows([0, 1, 2, 3, 4, 5].map(|row| node.row(row).map(|plane| plane - origin[row / 2])))
+    }
+
+    #[inline]
+    fn fan_mask<const N: usize>(self, rows: &Rows, rays: &FanRays<N>, r: usize) -> u32 {
+        let (mut entries, mut exits) = ([rays.slab_near[r]; WIDTH], [rays.slab_far[r]; WIDTH]);
+        for axis in 0..3 {
+            let row = 2 * axis + rays.negative[axis][r] as usize;
+            let (near, far) = (&rows.0[row], &rows.0[row ^ 1]);
+            for i in 0..WIDTH {
+                let entry = near[i] * rays.inv_near[axis][r];
+                let exit = far[i] * rays.inv_far[axis][r];
+                entries[i] = if entry > entries[i] { entry } else { entries[i] };
+                exits[i] = if exit < exits[i] { exit } else { exits[i] };
+            }
+        }
+        (0..WIDTH).fold(0, |mask, i| mask | u32::from(entries[i] <= exits[i]) << i)
+    }
+
+    #[inline]
+    fn overlap(self, rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32 {
+        let reaches = |i: usize| {
+            (0..3).all(|axis| rows.0[2 * axis][i] <= high[axis] && rows.0[2 * axis + 1][i] >= low[axis])
+        };
+        (0..WIDTH).fold(0, |mask, i| mask | u32::from(reaches(i)) << i)
+    }
+
+    type Planes = fan::scalar::Planes;
+
+    #[inline]
+    fn prefetch(self, _: *const u8, _: usize) {}
+
+    #[inline]
+    fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Self::Planes {
+        Self::Planes::new(block, origin)
+    }
+
+    #[inline]
+    fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask {
+        planes.filter(rays.direction.map(|row| row[r]), rays.near[r], rays.far[r])
+    }
+
+    #[inline]
+    fn fan_push(
+        self,
+        children: &[u32; WIDTH],
+        rows: &Rows,
+        rays: &FanRays<FAN>,
+        left: u32,
+        wanted: u32,
+        stack: &mut Stack,
+        mut top: usize,
+    ) -> usize {
+        let mut columns = [0; WIDTH];
+        for r in (0..FAN).filter(|r| left >> r & 1 == 1) {
+            let entered = self.fan_mask(rows, rays, r) & wanted;
+            columns.iter_mut().enumerate().for_each(|(i, column)| *column |= (entered >> i & 1) << r);
+        }
+        for (&child, column) in children.iter().zip(columns).rev().filter(|&(_, column)| column != 0) {
+            (stack.children[top], stack.rays[top]) = (child, column);
+            top += 1;
+        }
+        top
     }
 }

@@ -1,9 +1,12 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::{Avx2, Job, Kernel, NodeRay};
+use super::{Avx2, FAN, Job, Kernel, NodeRay, Rows, Stack};
 use crate::node::{Node, WIDTH};
 use std::arch::x86_64::*;
-use umbrage_geom::kernel::{BlockMask, BlockRay, TriangleBlock};
+use umbrage_geom::kernel::{
+    BlockMask, BlockRay, TriangleBlock,
+    fan::{self, FanRays},
+};
 
 /// Runs `job` compiled for AVX2 and FMA: everything it inlines may use them.
 #[inline]
@@ -16,31 +19,165 @@ pub(crate) fn run<J: Job>(avx2: Avx2, job: J) -> J::Output {
     unsafe { shell(avx2, job) }
 }
 
-/// Entry and exit of each child.
+/// Proof that this processor has AVX-512 with 256-bit forms (F, VL, DQ, BW), besides what [`Avx2`] proves.
 ///
-/// # Safety
-/// AVX2.
+/// The code of [`Avx2`] compiled once more: twice the registers and comparisons into mask registers. 512-bit vectors gain
+/// nothing where they take two cycles.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Avx512(Avx2);
+
+impl Avx512 {
+    /// Asks the processor.
+    pub(crate) fn detect() -> Option<Self> {
+        let all = is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512bw");
+        if all { Avx2::detect().map(Self) } else { None }
+    }
+
+    /// Runs `job` compiled for AVX-512.
+    #[inline]
+    pub(crate) fn run<J: Job>(self, job: J) -> J::Output {
+        #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+        fn shell<J: Job>(avx2: Avx2, job: J) -> J::Output {
+            job.run(avx2)
+        }
+        // SAFETY: `self` proves the target features.
+        unsafe { shell(self.0, job) }
+    }
+}
+
+/// The planes of row `row` of axis `axis`.
 #[inline]
-#[target_feature(enable = "avx2")]
-unsafe fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
+#[target_feature(enable = "avx2,fma")]
+fn planes(node: &Node, row: usize, axis: usize) -> __m256 {
+    // SAFETY: a row is eight bytes.
+    let numbers = unsafe { _mm_loadl_epi64(node.grid[row % 6].as_ptr().cast()) };
+    let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
+    // The product is exact, so that fusing changes nothing.
+    _mm256_fmadd_ps(numbers, _mm256_set1_ps(node.step[axis]), _mm256_set1_ps(node.base[axis]))
+}
+
+/// Entry and exit of each child.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
     let (mut entry, mut exit) = (_mm256_set1_ps(ray.slab.tnear), _mm256_set1_ps(tfar));
     for axis in 0..3 {
         let row = ray.near_row[axis];
-        // SAFETY: `near_row` is below 6 by construction, and so is its neighbour; rows are eight floats, aligned as the
-        // node is.
-        let (near, far) = unsafe {
-            (
-                _mm256_load_ps(node.bounds.get_unchecked(row).as_ptr()),
-                _mm256_load_ps(node.bounds.get_unchecked(row ^ 1).as_ptr()),
-            )
-        };
-        let near = _mm256_sub_ps(near, _mm256_set1_ps(ray.slab.origin_near[axis]));
-        let far = _mm256_sub_ps(far, _mm256_set1_ps(ray.slab.origin_far[axis]));
+        let near = _mm256_sub_ps(planes(node, row, axis), _mm256_set1_ps(ray.slab.origin_near[axis]));
+        let far = _mm256_sub_ps(planes(node, row ^ 1, axis), _mm256_set1_ps(ray.slab.origin_far[axis]));
         // `max` and `min` return the second operand for NaN, which drops it.
         entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(ray.slab.inv_near[axis])), entry);
         exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(ray.slab.inv_far[axis])), exit);
     }
     (entry, exit)
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn rows(node: &Node, origin: [f32; 3]) -> Rows {
+    let mut rows = Rows([[0.0; WIDTH]; 6]);
+    for (i, row) in rows.0.iter_mut().enumerate() {
+        let relative = _mm256_sub_ps(planes(node, i, i / 2), _mm256_set1_ps(origin[i / 2]));
+        // SAFETY: a row is eight floats.
+        unsafe { _mm256_storeu_ps(row.as_mut_ptr(), relative) };
+    }
+    rows
+}
+
+/// All bits set for the children that ray `r` may enter.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn fan_slabs<const N: usize>(rows: &Rows, rays: &FanRays<N>, r: usize) -> __m256 {
+    let (mut entry, mut exit) = (_mm256_set1_ps(rays.slab_near[r]), _mm256_set1_ps(rays.slab_far[r]));
+    for axis in 0..3 {
+        let row = 2 * axis + (rays.negative[axis][r] as usize & 1);
+        // SAFETY: rows are eight floats, aligned as all of them are.
+        let (near, far) =
+            unsafe { (_mm256_load_ps(rows.0[row].as_ptr()), _mm256_load_ps(rows.0[row ^ 1].as_ptr())) };
+        // `max` and `min` return the second operand for NaN, which drops it.
+        entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(rays.inv_near[axis][r])), entry);
+        exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(rays.inv_far[axis][r])), exit);
+    }
+    _mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn overlap(rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32 {
+    let mut reaches = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
+    for axis in 0..3 {
+        // SAFETY: rows are eight floats, aligned as all of them are.
+        let (least, greatest) = unsafe {
+            (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
+        };
+        let below = _mm256_cmp_ps::<_CMP_LE_OQ>(least, _mm256_set1_ps(high[axis]));
+        let above = _mm256_cmp_ps::<_CMP_GE_OQ>(greatest, _mm256_set1_ps(low[axis]));
+        reaches = _mm256_and_ps(reaches, _mm256_and_ps(below, above));
+    }
+    _mm256_movemask_ps(reaches) as u32
+}
+
+/// For each set of lanes their numbers, highest first.
+static PACKED: [[u8; WIDTH]; 256] = {
+    let mut packed = [[0; WIDTH]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut at) = (WIDTH, 0);
+        while lane > 0 {
+            lane -= 1;
+            if mask >> lane & 1 == 1 {
+                packed[mask][at] = lane as u8;
+                at += 1;
+            }
+        }
+        mask += 1;
+    }
+    packed
+};
+
+#[inline]
+#[target_feature(enable = "avx2,bmi1,popcnt")]
+fn fan_push(
+    children: &[u32; WIDTH],
+    rows: &Rows,
+    rays: &FanRays<FAN>,
+    mut left: u32,
+    wanted: u32,
+    stack: &mut Stack,
+    top: usize,
+) -> usize {
+    let mut columns = _mm256_setzero_si256();
+    while left != 0 {
+        let r = left.trailing_zeros();
+        let bit = _mm256_set1_epi32((left & left.wrapping_neg()) as i32);
+        left &= left - 1;
+        let entered = _mm256_castps_si256(fan_slabs(rows, rays, r as usize % FAN));
+        columns = _mm256_or_si256(columns, _mm256_and_si256(entered, bit));
+    }
+    let missed = _mm256_cmpeq_epi32(columns, _mm256_setzero_si256());
+    let mask = !(_mm256_movemask_ps(_mm256_castsi256_ps(missed)) as u32) & wanted % 256;
+    assert!(top + WIDTH <= stack.rays.len(), "the tree has no more levels than the stack");
+    // SAFETY: rows of the table are eight bytes; eight entries from `top` are in the stack.
+    unsafe {
+        let order = _mm256_cvtepu8_epi32(_mm_loadl_epi64(PACKED[mask as usize].as_ptr().cast()));
+        let children = _mm256_loadu_si256(children.as_ptr().cast());
+        let children = _mm256_permutevar8x32_epi32(children, order);
+        let columns = _mm256_permutevar8x32_epi32(columns, order);
+        _mm256_storeu_si256(stack.children.as_mut_ptr().add(top).cast(), children);
+        _mm256_storeu_si256(stack.rays.as_mut_ptr().add(top).cast(), columns);
+    }
+    top + mask.count_ones() as usize
+}
+
+#[inline]
+#[target_feature(enable = "sse")]
+fn prefetch(target: *const u8, bytes: usize) {
+    for offset in (0..bytes).step_by(64) {
+        _mm_prefetch::<_MM_HINT_T0>(target.cast::<i8>().wrapping_add(offset));
+    }
 }
 
 impl Kernel for Avx2 {
@@ -49,7 +186,7 @@ impl Kernel for Avx2 {
         // SAFETY: `self` proves the target features.
         unsafe {
             let (entry, exit) = slabs(node, ray, tfar);
-            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
+            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32 & node.used
         }
     }
 
@@ -59,12 +196,65 @@ impl Kernel for Avx2 {
         unsafe {
             let (entry, exit) = slabs(node, ray, tfar);
             _mm256_storeu_ps(entries.as_mut_ptr(), entry);
-            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
+            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32 & node.used
         }
     }
 
     #[inline(always)]
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
         Avx2::filter(self, block, ray)
+    }
+
+    #[inline(always)]
+    fn rows(self, node: &Node, origin: [f32; 3]) -> Rows {
+        // SAFETY: `self` proves the target features.
+        unsafe { rows(node, origin) }
+    }
+
+    #[inline(always)]
+    fn fan_mask<const N: usize>(self, rows: &Rows, rays: &FanRays<N>, r: usize) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { _mm256_movemask_ps(fan_slabs(rows, rays, r % N)) as u32 }
+    }
+
+    #[inline(always)]
+    fn overlap(self, rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { overlap(rows, low, high) }
+    }
+
+    type Planes = fan::x86::Planes;
+
+    #[inline(always)]
+    fn prefetch(self, target: *const u8, bytes: usize) {
+        // SAFETY: `self` proves the target features.
+        unsafe { prefetch(target, bytes) }
+    }
+
+    #[inline(always)]
+    fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Self::Planes {
+        Avx2::planes(self, block, origin)
+    }
+
+    #[inline(always)]
+    fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask {
+        let r = r % FAN;
+        let [x, y, z] = &rays.direction;
+        Avx2::fan_filter(self, planes, [x[r], y[r], z[r]], rays.near[r], rays.far[r])
+    }
+
+    #[inline(always)]
+    fn fan_push(
+        self,
+        children: &[u32; WIDTH],
+        rows: &Rows,
+        rays: &FanRays<FAN>,
+        left: u32,
+        wanted: u32,
+        stack: &mut Stack,
+        top: usize,
+    ) -> usize {
+        // SAFETY: `self` proves the target features.
+        unsafe { fan_push(children, rows, rays, left, wanted, stack, top) }
     }
 }

@@ -27,6 +27,7 @@
 //! `(Z + |z|) (3 E + 6 u |D'|)`. The filter uses `8 u` and adds `2^-100`. Ends so small that their product with `|d.z|`
 //! underflows, or so large that it might overflow, are left open (NaN).
 
+pub mod fan;
 pub mod scalar;
 #[cfg(target_arch = "x86_64")]
 pub mod x86;
@@ -49,38 +50,98 @@ const DEPTH_UNDERFLOW: f32 = f32::MIN_POSITIVE * (1u32 << 26) as f32;
 /// Size of `M` from which nothing is certain: `2^40`.
 const LARGEST: f32 = (1u64 << 40) as f32;
 
-/// Up to eight triangles, one per lane. Unused lanes are NaN.
+/// Up to eight triangles over up to eight vertices: two cache lines. Triangles are lanes 0, 1, ..
+///
+/// Triangles that lie together share vertices: six of a strip have eight. A block is so less than half the size of three
+/// corners a lane, which is worth more than the shuffles that put corners into lanes: large scenes wait for memory.
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
+#[repr(C, align(128))]
 pub struct TriangleBlock {
-    /// By corner, axis, lane.
-    corners: [[[f32; LANES]; 3]; 3],
+    /// By axis, vertex.
+    vertices: [[f32; LANES]; 3],
+    /// By corner, lane: the number of its vertex, below 8.
+    corners: [[u8; LANES]; 3],
+    /// Triangles.
+    len: u32,
+    /// For the block's owner.
+    pub tag: u32,
 }
 
 impl TriangleBlock {
     /// No triangle.
-    pub const EMPTY: Self = Self { corners: [[[f32::NAN; LANES]; 3]; 3] };
+    pub const EMPTY: Self = Self { vertices: [[0.0; LANES]; 3], corners: [[0; LANES]; 3], len: 0, tag: 0 };
 
-    /// Puts a triangle of finite corners into `lane`.
+    /// Triangles over shared vertices, all finite; `None` if there are more than eight of either, or a corner names no
+    /// vertex.
+    pub fn new(vertices: &[[f32; 3]], triangles: &[[u8; 3]]) -> Option<Self> {
+        let known = |&corner: &u8| usize::from(corner) < vertices.len();
+        if vertices.len() > LANES || triangles.len() > LANES || !triangles.as_flattened().iter().all(known) {
+            return None;
+        }
+        let mut this = Self { len: triangles.len() as u32, ..Self::EMPTY };
+        this.move_vertices(vertices);
+        for (lane, triangle) in triangles.iter().enumerate() {
+            for (lanes, &corner) in this.corners.iter_mut().zip(triangle) {
+                lanes[lane] = corner;
+            }
+        }
+        Some(this)
+    }
+
+    /// Gives the first vertices other places.
     ///
     /// # Panics
-    /// If `lane` is not below [`LANES`].
-    #[inline]
-    pub fn set(&mut self, lane: usize, corners: [[f32; 3]; 3]) {
-        for (block, corner) in self.corners.iter_mut().zip(corners) {
-            for (lanes, x) in block.iter_mut().zip(corner) {
-                lanes[lane] = x;
+    /// If there are more than eight.
+    pub fn move_vertices(&mut self, vertices: &[[f32; 3]]) {
+        for (i, vertex) in vertices.iter().enumerate() {
+            for (row, &x) in self.vertices.iter_mut().zip(vertex) {
+                row[i] = x;
             }
         }
     }
 
-    /// The triangle in `lane`, NaN if there is none.
+    /// Number of triangles.
+    #[inline]
+    pub fn len(&self) -> usize {
+        self.len as usize
+    }
+
+    /// Whether there is no triangle.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// One bit for each triangle.
+    #[inline]
+    fn used(&self) -> u8 {
+        ((1u32 << self.len) - 1) as u8
+    }
+
+    /// The triangle in `lane`; that of some vertices if there is none.
     ///
     /// # Panics
     /// If `lane` is not below [`LANES`].
     #[inline]
     pub fn get(&self, lane: usize) -> [[f32; 3]; 3] {
-        self.corners.map(|corner| corner.map(|lanes| lanes[lane]))
+        self.corners.map(|corner| {
+            let vertex = usize::from(corner[lane]) % LANES;
+            [self.vertices[0][vertex], self.vertices[1][vertex], self.vertices[2][vertex]]
+        })
+    }
+
+    /// All corners by corner, axis, lane; NaN in unused lanes.
+    #[inline(always)]
+    pub fn corners(&self) -> [[[f32; LANES]; 3]; 3] {
+        self.corners.map(|vertices| {
+            self.vertices.map(|row| {
+                let mut lanes = vertices.map(|vertex| row[usize::from(vertex) % LANES]);
+                for (lane, x) in lanes.iter_mut().enumerate() {
+                    *x = if lane < self.len() { *x } else { f32::NAN };
+                }
+                lanes
+            })
+        })
     }
 }
 

@@ -1,14 +1,14 @@
 //! The filter one lane at a time, in plain operations.
 
 use super::{
-    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LANES, LARGEST, SHEAR_ERROR, TriangleBlock,
+    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, SHEAR_ERROR, TriangleBlock,
 };
 
 /// Filters a block; see the [module](super).
 #[inline]
 pub fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
     let mut mask = BlockMask::default();
-    for lane in 0..LANES {
+    for lane in 0..block.len() {
         match hit(block, ray, lane) {
             Some(true) => mask.certain |= 1 << lane,
             Some(false) => {}
@@ -21,15 +21,13 @@ pub fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
 /// Whether the segment hits the triangle in `lane`, if that is certain.
 #[inline]
 fn hit(block: &TriangleBlock, ray: &BlockRay, lane: usize) -> Option<bool> {
+    let corners = block.get(lane);
     let corner = |c: usize| {
-        let p = [0, 1, 2].map(|i| block.corners[c][ray.axes[i]][lane] - ray.origin[i]);
+        let p = [0, 1, 2].map(|i| corners[c][ray.axes[i]] - ray.origin[i]);
         let z = p[2] * ray.sign;
         [p[0] - ray.slopes[0] * z, p[1] - ray.slopes[1] * z, z]
     };
     let [a, b, c] = [corner(0), corner(1), corner(2)];
-    if a[2].is_nan() {
-        return Some(false);
-    }
     let (least, greatest) = (a[2].min(b[2]).min(c[2]), a[2].max(b[2]).max(c[2]));
     if greatest < ray.near.below || least > ray.far.above {
         return Some(false);

@@ -1,6 +1,9 @@
 //! What a filter calls certain, against the exact predicate.
 
-use super::*;
+use super::{
+    fan::{CHUNK, FanRays},
+    *,
+};
 use crate::segment_hits_triangle;
 use glam::Vec3;
 use proptest::prelude::*;
@@ -23,14 +26,24 @@ fn check_mask(
     Ok(())
 }
 
-fn check(triangles: &[[[f32; 3]; 3]], ray: &Ray) -> Result<(), TestCaseError> {
+fn check(vertices: &[[f32; 3]], triangles: &[[u8; 3]], ray: &Ray) -> Result<(), TestCaseError> {
     let Some(prepared) = BlockRay::new(ray) else { return Ok(()) };
-    let mut block = TriangleBlock::EMPTY;
-    triangles.iter().enumerate().for_each(|(lane, &corners)| block.set(lane, corners));
+    let block = TriangleBlock::new(vertices, triangles).expect("few enough");
     check_mask(&block, ray, triangles.len(), scalar::filter(&block, &prepared), "scalar")?;
     #[cfg(target_arch = "x86_64")]
     if let Some(avx2) = x86::Avx2::detect() {
         check_mask(&block, ray, triangles.len(), avx2.filter(&block, &prepared), "avx2")?;
+    }
+    let mut rays = FanRays::<CHUNK>::default();
+    if rays.prepare(0, &[*ray]) == 1 {
+        let (origin, d) = (ray.origin.to_array(), rays.direction.map(|row| row[0]));
+        let mask = fan::scalar::Planes::new(&block, origin).filter(d, rays.near[0], rays.far[0]);
+        check_mask(&block, ray, triangles.len(), mask, "fan scalar")?;
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx2) = x86::Avx2::detect() {
+            let mask = avx2.fan_filter(&avx2.planes(&block, origin), d, rays.near[0], rays.far[0]);
+            check_mask(&block, ray, triangles.len(), mask, "fan avx2")?;
+        }
     }
     Ok(())
 }
@@ -60,11 +73,12 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(8000))]
     #[test]
     fn certain_answers_are_right(
-        triangles in prop::collection::vec([point(), point(), point()], 0..=8), o in point(), d in point(),
+        vertices in prop::collection::vec(point(), 8..=8),
+        triangles in prop::collection::vec([0u8..8, 0u8..8, 0u8..8], 0..=8), o in point(), d in point(),
         (tnear, tfar) in ends(), scale in prop::sample::select(vec![1f32, 1e-40, 1e-38, 1e-20, 1e14]),
     ) {
         let direction = Vec3::from(d) * scale;
-        check(&triangles, &Ray { origin: o.into(), direction, tnear, tfar })?;
+        check(&vertices, &triangles, &Ray { origin: o.into(), direction, tnear, tfar })?;
     }
 
     #[test]
@@ -80,28 +94,54 @@ proptest! {
         let o = (Vec3::from(o) + far_away) * size;
         let mut direction = a + (b - a) * u + (c - a) * v - o;
         direction.x += nudge as f32 * direction.x.abs() * f32::EPSILON;
-        check(&[shifted], &Ray { origin: o, direction, tnear, tfar })?;
+        check(&shifted, &[[0, 1, 2]], &Ray { origin: o, direction, tnear, tfar })?;
     }
 }
 
-/// Share of lanes that the filter leaves open when a triangle of size 0.01 is seen from a distance of 1.
+/// Share of lanes that the filters leave open when a triangle of size 0.01 is seen from a distance of 1.
 #[test]
 fn few_lanes_stay_open() {
     use rand_pcg::rand_core::Rng;
     let mut random = rand_pcg::Pcg32::new(1, 2);
     let mut uniform = || random.next_u32() as f32 / u32::MAX as f32 - 0.5;
-    let (mut open, mut hits) = (0, 0);
+    let (mut open, mut hits) = ([0; 2], [0; 2]);
+    let mut rays = FanRays::<CHUNK>::default();
     for _ in 0..20_000 {
-        let mut block = TriangleBlock::EMPTY;
-        for lane in 0..LANES {
-            let mut corner = || [uniform() * 0.01, uniform() * 0.01, 1.0 + uniform() * 0.01];
-            block.set(lane, [corner(), corner(), corner()]);
-        }
+        let vertices = [0; LANES].map(|_| [uniform() * 0.01, uniform() * 0.01, 1.0 + uniform() * 0.01]);
+        let triangles = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| [i, (i + 1) % 8, (i + 3) % 8]);
+        let block = TriangleBlock::new(&vertices, &triangles).unwrap();
         let ray = Ray::new([0.0; 3], [uniform() * 0.01, uniform() * 0.01, 1.0]);
-        let mask = scalar::filter(&block, &BlockRay::new(&ray).unwrap());
-        open += mask.uncertain.count_ones();
-        hits += mask.certain.count_ones();
+        assert_eq!(rays.prepare(0, &[ray]), 1);
+        let direction = rays.direction.map(|row| row[0]);
+        let planes = fan::scalar::Planes::new(&block, [0.0; 3]);
+        let masks = [
+            scalar::filter(&block, &BlockRay::new(&ray).unwrap()),
+            planes.filter(direction, rays.near[0], rays.far[0]),
+        ];
+        for (i, mask) in masks.into_iter().enumerate() {
+            open[i] += mask.uncertain.count_ones();
+            hits[i] += mask.certain.count_ones();
+        }
     }
-    assert!(hits > 5000, "{hits}");
-    assert!(open < 800, "{open} of 160000");
+    assert!(hits.iter().all(|&hits| hits > 5000), "{hits:?}");
+    assert!(open.iter().all(|&open| open < 800), "{open:?} of 160000");
+}
+
+#[test]
+fn a_fan_takes_rays_it_can_scale_exactly() {
+    let rays = [
+        Ray::new([1.0; 3], [1.0, 2.0, -3.0]).with_tfar(7.0),
+        Ray::new([1.0; 3], [f32::NAN, 2.0, -3.0]),
+        Ray::new([1.0; 3], [0.0; 3]),
+        Ray::new([1.0; 3], [1e-30, 0.0, 0.0]),
+        Ray::new([1.0; 3], [0.0, 1e20, 0.0]).with_tfar(0.0),
+        Ray { tnear: 1e-38, ..Ray::new([1.0; 3], [0.0, 1e-20, 0.0]) },
+        Ray { tnear: f32::NAN, ..Ray::new([1.0; 3], [0.0, 1e-20, 0.0]) },
+        Ray::new([1.0; 3], [f32::MAX, 0.0, 0.0]),
+        Ray { tnear: 1.0, ..Ray::new([1.0; 3], [-0.0, -1.0, 0.0]) },
+    ];
+    let mut fan = FanRays::<CHUNK>::default();
+    assert_eq!(fan.prepare(0, &rays), 0b1_0000_0001);
+    assert_eq!((fan.direction[0][0], fan.direction[2][0], fan.far[0]), (0.125, -0.375, 56.0));
+    assert_eq!(fan.negative.map(|row| row[8]), [1, 1, 0]);
 }

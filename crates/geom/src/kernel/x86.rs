@@ -25,24 +25,30 @@ impl Avx2 {
     /// Fast only when inlined into a function with these target features.
     #[inline(always)]
     pub fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
-        // SAFETY: `self` proves the target features. Loads stay in `block`: `axes` are below 3 by construction, and
-        // rows of 32 bytes are aligned as the block is.
+        // SAFETY: `self` proves the target features.
         unsafe { filter(block, ray) }
     }
 }
 
+/// Coordinate `axis` of one corner of each triangle.
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn corner(block: &TriangleBlock, corner: usize, axis: usize) -> __m256 {
+    // SAFETY: both are rows of eight; the one of floats is aligned as the block is.
+    let (vertices, lanes) = unsafe {
+        (
+            _mm256_load_ps(block.vertices[axis].as_ptr()),
+            _mm_loadl_epi64(block.corners[corner].as_ptr().cast()),
+        )
+    };
+    _mm256_permutevar8x32_ps(vertices, _mm256_cvtepu8_epi32(lanes))
+}
+
 /// `A'.x`, `A'.y`, `A.z'` of one corner.
-///
-/// # Safety
-/// AVX2 and FMA.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-unsafe fn shear(corner: &[[f32; 8]; 3], ray: &BlockRay) -> [__m256; 3] {
-    let relative = |i: usize| {
-        // SAFETY: `axes[i]` is below 3; a row is eight aligned floats.
-        let row = unsafe { _mm256_load_ps(corner.get_unchecked(ray.axes[i]).as_ptr()) };
-        _mm256_sub_ps(row, _mm256_set1_ps(ray.origin[i]))
-    };
+fn shear(block: &TriangleBlock, c: usize, ray: &BlockRay) -> [__m256; 3] {
+    let relative = |i: usize| _mm256_sub_ps(corner(block, c, ray.axes[i] % 3), _mm256_set1_ps(ray.origin[i]));
     let sign = _mm256_and_ps(_mm256_set1_ps(ray.sign), _mm256_set1_ps(-0.0));
     let z = _mm256_xor_ps(relative(2), sign);
     let x = _mm256_fnmadd_ps(_mm256_set1_ps(ray.slopes[0]), z, relative(0));
@@ -57,22 +63,15 @@ fn edge(a: [__m256; 3], b: [__m256; 3]) -> __m256 {
     _mm256_fmsub_ps(a[0], b[1], _mm256_mul_ps(a[1], b[0]))
 }
 
-/// # Safety
-/// AVX2 and FMA.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-unsafe fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
-    // SAFETY: as of this function.
-    let [a, b, c] = unsafe {
-        [shear(&block.corners[0], ray), shear(&block.corners[1], ray), shear(&block.corners[2], ray)]
-    };
+fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
+    let [a, b, c] = [shear(block, 0, ray), shear(block, 1, ray), shear(block, 2, ray)];
     let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
     let greatest = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);
-    // Unused lanes: NaN is not ordered. Depths of used lanes are never NaN.
-    let used = _mm256_cmp_ps::<_CMP_ORD_Q>(a[2], a[2]);
     let in_front = _mm256_cmp_ps::<_CMP_NLT_UQ>(greatest, _mm256_set1_ps(ray.near.below));
     let before_end = _mm256_cmp_ps::<_CMP_NGT_UQ>(least, _mm256_set1_ps(ray.far.above));
-    let within = _mm256_and_ps(used, _mm256_and_ps(in_front, before_end));
+    let within = _mm256_and_ps(in_front, before_end);
 
     let absolute = |x: __m256| _mm256_andnot_ps(_mm256_set1_ps(-0.0), x);
     let larger = |p: [__m256; 3]| _mm256_max_ps(absolute(p[0]), absolute(p[1]));
@@ -94,7 +93,7 @@ unsafe fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
     let any_negative = _mm256_cmp_ps::<_CMP_LT_OQ>(lowest, minus_error);
     let outside = _mm256_and_ps(sane, _mm256_and_ps(any_positive, any_negative));
     let open = _mm256_andnot_ps(outside, within);
-    let open_mask = _mm256_movemask_ps(open) as u8;
+    let open_mask = _mm256_movemask_ps(open) as u8 & block.used();
     if open_mask == 0 {
         return BlockMask::default();
     }
@@ -105,8 +104,8 @@ unsafe fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
         _mm256_cmp_ps::<_CMP_GT_OQ>(least, _mm256_set1_ps(ray.near.above)),
         _mm256_cmp_ps::<_CMP_LT_OQ>(greatest, _mm256_set1_ps(ray.far.below)),
     );
-    let certain = _mm256_movemask_ps(_mm256_and_ps(inside, clear_ends)) as u8;
-    let straddling = _mm256_movemask_ps(_mm256_andnot_ps(clear_ends, inside)) as u8;
+    let certain = _mm256_movemask_ps(_mm256_and_ps(inside, clear_ends)) as u8 & open_mask;
+    let straddling = _mm256_movemask_ps(_mm256_andnot_ps(clear_ends, inside)) as u8 & open_mask;
     if straddling == 0 {
         return BlockMask { certain, uncertain: open_mask & !certain };
     }

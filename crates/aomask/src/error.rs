@@ -1,0 +1,86 @@
+//! Why mask ambient occlusion failed.
+
+use crate::BackEnd;
+use umbrage_accel::BuildError;
+use umbrage_geom::FalloffError;
+
+/// Why a pattern could not be made or receivers could not be answered. Nothing has been written to the caller's slices.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MaskError {
+    /// The number of rays is not a multiple of 32 between 32 and 1024.
+    #[error("{0} rays: a pattern has 32 to 1024, a multiple of 32")]
+    Rays(u32),
+    /// A jitter is NaN or out of range.
+    #[error("{what} is {value}, expected 0 to {limit}")]
+    Jitter {
+        /// `rotation` or `tilt`.
+        what: &'static str,
+        /// Its value.
+        value: f32,
+        /// Largest possible value.
+        limit: f32,
+    },
+    /// The falloff can't be used.
+    #[error(transparent)]
+    Falloff(#[from] FalloffError),
+    /// The radius is 0, negative or NaN.
+    #[error("radius is {0}, expected more than 0")]
+    Radius(f32),
+    /// Rays of different lengths need a finite radius that they refer to.
+    #[error("a falloff other than constant needs a finite radius")]
+    FalloffWithoutRadius,
+    /// A table can't have that many cells.
+    #[error("{value} cells along the table of {what}: expected 8 to {limit}")]
+    Resolution {
+        /// `planes` or `edges`.
+        what: &'static str,
+        /// The resolution.
+        value: u32,
+        /// Largest possible value.
+        limit: u32,
+    },
+    /// The back end needs instructions that this processor lacks.
+    #[error("this processor has no support for the back end {0:?}")]
+    BackEnd(BackEnd),
+    /// A slice is not as long as there are receivers.
+    #[error("{what}: {actual} values for {points} receivers, expected {expected}")]
+    Length {
+        /// `normals`, `ao`, ..
+        what: &'static str,
+        /// How many there are.
+        actual: usize,
+        /// How many there should be.
+        expected: usize,
+        /// How many receivers there are.
+        points: usize,
+    },
+    /// A receiver point is NaN, infinite or farther out than geometry may be.
+    #[error("receiver point {index} is not usable: ({}, {}, {})", .point[0], .point[1], .point[2])]
+    Point {
+        /// Index of the receiver, from 0.
+        index: usize,
+        /// The point.
+        point: [f32; 3],
+    },
+    /// A receiver's normal is zero or not finite.
+    #[error("the normal of receiver {index} is zero or not finite: ({}, {}, {})", .normal[0], .normal[1], .normal[2])]
+    Normal {
+        /// Index of the receiver, from 0.
+        index: usize,
+        /// The normal.
+        normal: [f32; 3],
+    },
+    /// The geometry could not be put into a hierarchy, or can't be used.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The progress callback returned `false`.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+impl From<umbrage_geom::Cancelled> for MaskError {
+    fn from(_: umbrage_geom::Cancelled) -> Self {
+        Self::Cancelled
+    }
+}

@@ -1,0 +1,112 @@
+//! What can be chosen, and where answers go.
+
+use crate::{MaskError, Pattern};
+
+/// Which sides of a triangle block rays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sides {
+    /// Both.
+    #[default]
+    Both,
+    /// Only the front, from which the corners run counter-clockwise.
+    Front,
+}
+
+/// Settings of a call that answers receivers. Start from the default: no radius, both sides, seed 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct MaskOptions {
+    /// Length of the longest ray, world units, more than 0; infinite only if all rays have the same length.
+    pub radius: f32,
+    /// Which sides of triangles block.
+    pub sides: Sides,
+    /// Seed of the jitter: receiver `i` of a slice has the seed `combine(seed, i)` ([`umbrage_geom::sampling::combine`]).
+    pub seed: u32,
+}
+
+impl Default for MaskOptions {
+    fn default() -> Self {
+        Self { radius: f32::INFINITY, sides: Sides::Both, seed: 0 }
+    }
+}
+
+impl MaskOptions {
+    /// Sets [`Self::radius`].
+    #[must_use]
+    pub fn with_radius(self, radius: f32) -> Self {
+        Self { radius, ..self }
+    }
+
+    /// Sets [`Self::sides`].
+    #[must_use]
+    pub fn with_sides(self, sides: Sides) -> Self {
+        Self { sides, ..self }
+    }
+
+    /// Sets [`Self::seed`].
+    #[must_use]
+    pub fn with_seed(self, seed: u32) -> Self {
+        Self { seed, ..self }
+    }
+
+    /// Checks the radius against the lengths of `pattern`.
+    ///
+    /// # Errors
+    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`].
+    pub fn validate(&self, pattern: &Pattern) -> Result<(), MaskError> {
+        if self.radius.is_nan() || self.radius <= 0.0 {
+            return Err(MaskError::Radius(self.radius));
+        }
+        if self.radius == f32::INFINITY && !pattern.has_equal_lengths() {
+            return Err(MaskError::FalloffWithoutRadius);
+        }
+        Ok(())
+    }
+}
+
+/// Where answers go. Slices belong to the caller and are as long as there are receivers, unless said otherwise.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Outputs<'a> {
+    /// Fraction of rays that are free: 1 is open, 0 fully occluded.
+    pub ao: &'a mut [f32],
+    /// [`Pattern::words`] words for each receiver; bit `i % 64` of word `i / 64` is set if ray `i` is blocked.
+    pub masks: Option<&'a mut [u64]>,
+    /// Mean direction of the free rays, of unit length; the normal where no ray is free or their mean is zero.
+    pub bent_normals: Option<&'a mut [[f32; 3]]>,
+}
+
+impl<'a> Outputs<'a> {
+    /// Only [`Self::ao`].
+    pub fn new(ao: &'a mut [f32]) -> Self {
+        Self { ao, masks: None, bent_normals: None }
+    }
+
+    /// Asks for [`Self::masks`] too.
+    #[must_use]
+    pub fn with_masks(self, masks: &'a mut [u64]) -> Self {
+        Self { masks: Some(masks), ..self }
+    }
+
+    /// Asks for [`Self::bent_normals`] too.
+    #[must_use]
+    pub fn with_bent_normals(self, bent_normals: &'a mut [[f32; 3]]) -> Self {
+        Self { bent_normals: Some(bent_normals), ..self }
+    }
+
+    /// Checks the lengths for `points` receivers of `words` words each.
+    pub(crate) fn validate(&self, points: usize, words: usize) -> Result<(), MaskError> {
+        let masks = self.masks.as_ref().map(|m| m.len());
+        let bent_normals = self.bent_normals.as_ref().map(|b| b.len());
+        for (what, actual, expected) in [
+            ("ao", Some(self.ao.len()), points),
+            ("masks", masks, points.saturating_mul(words)),
+            ("bent normals", bent_normals, points),
+        ] {
+            if let Some(actual) = actual.filter(|&actual| actual != expected) {
+                return Err(MaskError::Length { what, actual, expected, points });
+            }
+        }
+        Ok(())
+    }
+}

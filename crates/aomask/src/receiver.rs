@@ -1,0 +1,72 @@
+//! A point that asks for its ambient occlusion.
+
+use crate::MaskError;
+use umbrage_geom::{glam::Vec3, mesh::MAX_COORDINATE};
+
+/// A point with a normal, checked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Receiver {
+    point: Vec3,
+    normal: Vec3,
+    seed: u32,
+}
+
+impl Receiver {
+    /// A receiver at `point` (world units; rays start exactly there, so points on a surface are moved off it first, see
+    /// [`umbrage_geom::offset_origin`]) that looks along `normal`, of any length but 0. `seed` chooses the jitter; `index`
+    /// is what errors name.
+    ///
+    /// # Errors
+    /// [`MaskError::Point`], [`MaskError::Normal`].
+    pub fn new(index: usize, point: [f32; 3], normal: [f32; 3], seed: u32) -> Result<Self, MaskError> {
+        // Comparisons with NaN are false.
+        if !point.iter().all(|x| x.abs() <= MAX_COORDINATE) {
+            return Err(MaskError::Point { index, point });
+        }
+        let n = Vec3::from(normal);
+        if !n.is_finite() || n == Vec3::ZERO {
+            return Err(MaskError::Normal { index, normal });
+        }
+        // In f64 no finite length overflows or vanishes.
+        Ok(Self { point: point.into(), normal: n.as_dvec3().normalize().as_vec3(), seed })
+    }
+
+    /// Where rays start, world units.
+    #[inline]
+    pub fn point(&self) -> Vec3 {
+        self.point
+    }
+
+    /// Unit normal.
+    #[inline]
+    pub fn normal(&self) -> Vec3 {
+        self.normal
+    }
+
+    /// What chooses the jitter.
+    #[inline]
+    pub fn seed(&self) -> u32 {
+        self.seed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_receivers_are_named() {
+        let up = [0.0, 0.0, 1.0];
+        for bad in [f32::NAN, f32::INFINITY, 1e25] {
+            let point = [0.0, bad, 0.0];
+            assert!(matches!(Receiver::new(3, point, up, 0), Err(MaskError::Point { index: 3, .. })));
+        }
+        for bad in [[0.0; 3], [f32::NAN, 0.0, 1.0], [0.0, f32::NEG_INFINITY, 0.0]] {
+            assert!(matches!(Receiver::new(4, [0.0; 3], bad, 0), Err(MaskError::Normal { index: 4, .. })));
+        }
+        for length in [1e-45, 1e-20, 3e38] {
+            let receiver = Receiver::new(0, [0.0; 3], [0.0, 0.0, -length], 0).unwrap();
+            assert_eq!(receiver.normal(), Vec3::NEG_Z);
+        }
+    }
+}

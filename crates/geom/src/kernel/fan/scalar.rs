@@ -1,0 +1,112 @@
+//! The fan filter one lane at a time, in plain operations.
+
+use super::{
+    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, TriangleBlock},
+    DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR,
+};
+
+/// A block of triangles seen from one origin.
+#[derive(Clone, Copy, Debug)]
+pub struct Planes {
+    /// Normals of the three edges' planes, by axis, lane.
+    normals: [[[f32; LANES]; 3]; 3],
+    /// `E`; infinite where nothing is certain.
+    error: [f32; LANES],
+    /// `T`.
+    volume: [f32; LANES],
+    volume_error: [f32; LANES],
+    /// No hit is further.
+    reach: [f32; LANES],
+    /// Triangles.
+    used: usize,
+}
+
+fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn largest(vectors: [[f32; 3]; 3]) -> f32 {
+    vectors.as_flattened().iter().fold(0.0, |m, x| x.abs().max(m))
+}
+
+impl Planes {
+    /// Looks at `block` from the finite point `origin`.
+    #[inline]
+    pub fn new(block: &TriangleBlock, origin: [f32; 3]) -> Self {
+        let row = [0.0; LANES];
+        let mut this = Self {
+            normals: [[row; 3]; 3],
+            error: row,
+            volume: row,
+            volume_error: row,
+            reach: row,
+            used: block.len(),
+        };
+        for lane in 0..LANES {
+            let corners = block.get(lane);
+            let minus = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+            let edges =
+                [minus(corners[1], corners[2]), minus(corners[2], corners[0]), minus(corners[0], corners[1])];
+            let [a, b, c] = corners.map(|corner| minus(corner, origin));
+            for (normal, (corner, edge)) in this.normals.iter_mut().zip([c, a, b].into_iter().zip(edges)) {
+                for (row, x) in normal.iter_mut().zip(cross(corner, edge)) {
+                    row[lane] = x;
+                }
+            }
+            let (far, long) = (largest([a, b, c]), largest(edges));
+            let sane = far < LARGEST;
+            this.error[lane] =
+                if sane { EDGE_ERROR * (far * long) + f32::MIN_POSITIVE } else { f32::INFINITY };
+            this.volume[lane] = -dot(a, cross(edges[1], edges[2]));
+            this.volume_error[lane] = VOLUME_ERROR * (far * (long * long)) + DEPTH_UNDERFLOW;
+            this.reach[lane] = REACH * far;
+        }
+        this
+    }
+
+    /// Filters the block for one prepared ray from the same origin; see the [module](super).
+    #[inline]
+    pub fn filter(&self, direction: [f32; 3], near: f32, far: f32) -> BlockMask {
+        let mut mask = BlockMask::default();
+        for lane in 0..self.used {
+            match self.hit(lane, direction, near, far) {
+                Some(true) => mask.certain |= 1 << lane,
+                Some(false) => {}
+                None => mask.uncertain |= 1 << lane,
+            }
+        }
+        mask
+    }
+
+    fn hit(&self, lane: usize, direction: [f32; 3], near: f32, far: f32) -> Option<bool> {
+        let edges = self.normals.map(|normal| dot(direction, normal.map(|row| row[lane])));
+        let error = self.error[lane];
+        let (positive, negative) = (edges.map(|e| e > error), edges.map(|e| e < -error));
+        if positive.contains(&true) && negative.contains(&true) {
+            return Some(false);
+        }
+        let side = match (positive, negative) {
+            ([true, true, true], _) => 1.0,
+            (_, [true, true, true]) => -1.0,
+            _ => return None,
+        };
+        let volume = self.volume[lane] * side;
+        let sum = (edges[0] + edges[1] + edges[2]) * side;
+        let relative = 3.1 * error + DEPTH_ERROR * sum;
+        // How far beyond `z` for certain, positive or negative; NaN is neither.
+        let beyond = |z: f32| (volume - z * sum, z * relative + self.volume_error[lane]);
+        let (after_near, near_error) = beyond(near);
+        let (after_far, far_error) = if self.reach[lane] < far { (-1.0, 0.0) } else { beyond(far) };
+        if after_near < -near_error || after_far > far_error {
+            Some(false)
+        } else if after_near > near_error && after_far < -far_error {
+            Some(true)
+        } else {
+            None
+        }
+    }
+}
