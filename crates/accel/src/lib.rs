@@ -17,7 +17,7 @@ mod traversal;
 mod view;
 
 pub use binary::{BinaryNode, BinaryTree};
-pub use bvh::{Bvh, Hit};
+pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
 pub use kernel::BackEnd;

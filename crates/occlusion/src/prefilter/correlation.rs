@@ -209,7 +209,7 @@ pub(crate) fn may_stop(
                     let child = node.children[slot];
                     let radius = if child & LEAF != 0 {
                         let prims = wide.leaf_prims((child & !LEAF) as usize);
-                        prims.fold(0f32, |m, prim| m.max(needed[prim as usize]))
+                        prims.iter().fold(0f32, |m, &prim| m.max(needed[prim as usize]))
                     } else {
                         below[child as usize]
                     };

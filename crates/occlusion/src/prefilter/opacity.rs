@@ -232,8 +232,8 @@ pub(crate) fn sphere_areas(wide: &mut Wide, depths: &Depths, masks: &[u8]) -> Cu
             let alpha = if child & LEAF != 0 {
                 let leaf = (child & !LEAF) as usize;
                 let own = square(&aabb).max(f32::MIN_POSITIVE);
-                let prims = wide.leaf_prims(leaf).enumerate();
-                1.0 - prims.fold(1.0, |passed, (lane, _)| {
+                let lanes = 0..wide.blocks[leaf].len();
+                1.0 - lanes.into_iter().fold(1.0, |passed, lane| {
                     let triangle = Aabb::from_points(&wide.blocks[leaf].get(lane));
                     let alpha = 1.0 - depths.of(leaf, lane).transmittance();
                     passed * (1.0 - alpha * (square(&triangle) / own).min(1.0))

@@ -53,7 +53,7 @@ pub struct Prefiltered {
     masks: Vec<u8>,
     directions: Directions,
     options: PrefilterOptions,
-    triangles: Vec<[u32; 3]>,
+    triangles: usize,
     vertices: usize,
 }
 
@@ -91,15 +91,15 @@ impl Prefiltered {
             (0..triangles.len() as u32).map(|prim| Aabb::from_points(&corners(prim))).collect();
         let tree = BinaryTree::build(&boxes, options.quality)?;
         drop(boxes);
-        let (mut wide, sources) = Wide::collapse(&tree);
-        wide.fill(corners);
-        let depths = Depths::new(opacity, &wide.prims);
+        let (mut wide, sources) = Wide::collapse(&tree, triangles);
+        wide.fill(positions);
+        let depths = Depths::new(opacity, &wide);
         let masks = may_stop(options.correlation, &wide, &tree, &sources, positions, triangles);
         drop((tree, sources));
         let progress = Progress::new(wide.nodes.len() as u64, progress);
         let stored = stored(&mut wide, &depths, directions, &masks, options, &progress)?;
         progress.finish()?;
-        let (triangles, vertices) = (triangles.to_vec(), positions.len());
+        let (triangles, vertices) = (triangles.len(), positions.len());
         Ok(Self { wide, depths, stored, masks, directions, options: *options, triangles, vertices })
     }
 
@@ -120,8 +120,8 @@ impl Prefiltered {
             return Err(BuildError::Count { what: "vertices", count, expected }.into());
         }
         validate_positions(positions)?;
-        let Self { wide, triangles, .. } = self;
-        wide.fill(|prim| triangles[prim as usize].map(|v| positions[v as usize]));
+        let wide = &mut self.wide;
+        wide.fill(positions);
         let progress = Progress::new(wide.nodes.len() as u64, progress);
         self.stored = stored(wide, &self.depths, self.directions, &self.masks, &self.options, &progress)?;
         progress.finish()?;
@@ -185,7 +185,7 @@ impl Prefiltered {
 
     /// Number of triangles.
     pub fn prim_count(&self) -> usize {
-        self.triangles.len()
+        self.triangles
     }
 
     /// Number of levels of nodes.
@@ -201,7 +201,7 @@ impl Prefiltered {
     /// Memory it holds.
     pub fn bytes(&self) -> Bytes {
         Bytes {
-            hierarchy: self.wide.bytes() + size_of_val(&self.triangles[..]),
+            hierarchy: self.wide.bytes(),
             opacities: self.stored.bytes() + size_of_val(&self.masks[..]),
             triangle_opacities: self.depths.bytes(),
         }

@@ -39,21 +39,22 @@ pub(crate) enum Depths {
 
 impl Depths {
     /// For opacities in `[0, 1]`, one or one a triangle, and the triangles in the lanes of leaves.
-    pub(crate) fn new(opacity: &[f32], prims: &[[u32; LANES]]) -> Self {
+    pub(crate) fn new(opacity: &[f32], wide: &Wide) -> Self {
         let mut different: Vec<u32> = opacity.iter().map(|a| a.to_bits()).collect();
         different.sort_unstable();
         different.dedup();
         if let [one] = different[..] {
             return Self::Uniform(OpticalDepth::from_opacity(f32::from_bits(one)));
         }
-        let lane = |prim: u32| opacity.get(prim as usize).copied().unwrap_or(0.0);
+        let lanes = || (0..wide.blocks.len()).map(|leaf| wide.leaf_prims(leaf));
+        let row =
+            |prims: &[u32]| std::array::from_fn(|lane| opacity[prims[lane.min(prims.len() - 1)] as usize]);
         if different.len() > 256 {
-            let lanes = |row: &[u32; LANES]| row.map(|prim| OpticalDepth::from_opacity(lane(prim)));
-            return Self::PerLane(prims.iter().map(lanes).collect());
+            return Self::PerLane(lanes().map(|prims| row(prims).map(OpticalDepth::from_opacity)).collect());
         }
         // Bits of numbers from 0 are in the order of the numbers.
-        let place = |prim: u32| different.binary_search(&lane(prim).to_bits()).unwrap_or(0) as u8;
-        let lanes = prims.iter().map(|row| row.map(place)).collect();
+        let place = |a: f32| different.binary_search(&a.to_bits()).unwrap_or(0) as u8;
+        let lanes = lanes().map(|prims| row(prims).map(place)).collect();
         Self::Palette(
             different.iter().map(|&a| OpticalDepth::from_opacity(f32::from_bits(a))).collect(),
             lanes,
@@ -136,7 +137,7 @@ pub(crate) fn leaf_depth<K: Kernel, S: Statistics>(
 ) -> OpticalDepth {
     let block = &wide.blocks[leaf];
     let mask = kernel.filter(block, &prepared.block);
-    stats.triangles(wide.leaf_prims(leaf).count() as u32);
+    stats.triangles(block.len() as u32);
     stats.uncertain(mask.uncertain.count_ones());
     let mut depth = OpticalDepth::CLEAR;
     let mut open = mask.certain | mask.uncertain;

@@ -4,7 +4,7 @@
 //! (`opacity.rs`), walking (`walk.rs`).
 
 use std::ops::Range;
-use umbrage_accel::{BinaryNode, BinaryTree};
+use umbrage_accel::{BinaryNode, BinaryTree, LeafVertices};
 use umbrage_geom::{
     Aabb,
     kernel::{LANES, TriangleBlock},
@@ -82,19 +82,22 @@ impl Node {
 #[derive(Clone, Debug)]
 pub(crate) struct Wide {
     pub(crate) nodes: Vec<Node>,
+    /// Leaf by leaf; the tag is where the leaf starts in `order`.
     pub(crate) blocks: Vec<TriangleBlock>,
-    /// Index of each lane's triangle; unused lanes, which come last, have `u32::MAX`.
-    pub(crate) prims: Vec<[u32; LANES]>,
+    /// The caller's triangles, leaf by leaf.
+    order: Vec<u32>,
+    /// The caller's vertices in each leaf, for refits; `u32::MAX` after the last.
+    vertices: Vec<[u32; LANES]>,
     /// Nodes of each level, the root's first.
     pub(crate) levels: Vec<Range<usize>>,
 }
 
 /// Up to eight parts of the subtree at `root`, opening the one of largest area first, largest first in the result.
-fn open(tree: &BinaryTree, root: u32) -> Vec<u32> {
+fn open(tree: &BinaryTree, root: u32, is_leaf: &impl Fn(u32) -> bool) -> Vec<u32> {
     let node = |i: u32| -> &BinaryNode { &tree.nodes[i as usize] };
     let mut parts = vec![root];
     while parts.len() < WIDTH {
-        let inner = parts.iter().enumerate().filter(|&(_, &i)| node(i).count as usize > LANES);
+        let inner = parts.iter().enumerate().filter(|&(_, &i)| !is_leaf(i));
         let largest = inner.max_by(|a, b| node(*a.1).aabb.area().total_cmp(&node(*b.1).aabb.area()));
         let Some((at, &largest)) = largest else { break };
         let [a, b] = node(largest).children;
@@ -106,61 +109,71 @@ fn open(tree: &BinaryTree, root: u32) -> Vec<u32> {
 }
 
 impl Wide {
-    /// Collapses `tree`, which has at least one primitive. Also returns the node of `tree` that each child stands for.
-    pub(crate) fn collapse(tree: &BinaryTree) -> (Self, Vec<[u32; WIDTH]>) {
-        let mut wide =
-            Self { nodes: vec![Node::EMPTY], blocks: Vec::new(), prims: Vec::new(), levels: Vec::new() };
-        let mut sources = vec![[u32::MAX; WIDTH]];
+    /// Collapses `tree`, which has at least one of `triangles`. Also returns the node of `tree` that each child stands for.
+    pub(crate) fn collapse(tree: &BinaryTree, triangles: &[[u32; 3]]) -> (Self, Vec<[u32; WIDTH]>) {
+        let run = |i: u32| {
+            let BinaryNode { first, count, .. } = tree.nodes[i as usize];
+            &tree.order[first as usize..(first + count) as usize]
+        };
+        let is_leaf = |i: u32| run(i).len() <= LANES && LeafVertices::of(triangles, run(i)).is_some();
+        let (mut nodes, mut sources) = (vec![Node::EMPTY], vec![[u32::MAX; WIDTH]]);
+        let (mut blocks, mut vertices, mut levels) = (Vec::new(), Vec::new(), Vec::new());
+        let mut order = Vec::with_capacity(tree.order.len());
         let mut roots = vec![0u32];
         while !roots.is_empty() {
-            let first = wide.nodes.len() - roots.len();
-            wide.levels.push(first..wide.nodes.len());
+            let first = nodes.len() - roots.len();
+            levels.push(first..nodes.len());
             let mut next = Vec::new();
             for (at, &root) in roots.iter().enumerate() {
-                for (slot, part) in open(tree, root).into_iter().enumerate() {
+                for (slot, part) in open(tree, root, &is_leaf).into_iter().enumerate() {
                     sources[first + at][slot] = part;
-                    let BinaryNode { first: start, count, .. } = tree.nodes[part as usize];
-                    wide.nodes[first + at].children[slot] = if count as usize <= LANES {
-                        let mut lanes = [u32::MAX; LANES];
-                        let run = &tree.order[start as usize..(start + count) as usize];
-                        lanes[..run.len()].copy_from_slice(run);
-                        wide.prims.push(lanes);
-                        LEAF | (wide.prims.len() - 1) as u32
+                    let leaf = if is_leaf(part) { LeafVertices::of(triangles, run(part)) } else { None };
+                    nodes[first + at].children[slot] = if let Some(leaf) = leaf {
+                        let corners = &leaf.corners[..run(part).len()];
+                        let mut block =
+                            TriangleBlock::new(&[[0.0; 3]; LANES], corners).expect("at most eight");
+                        block.tag = order.len() as u32;
+                        order.extend_from_slice(run(part));
+                        blocks.push(block);
+                        vertices.push(leaf.ids);
+                        LEAF | (blocks.len() - 1) as u32
                     } else {
                         next.push(part);
-                        wide.nodes.push(Node::EMPTY);
+                        nodes.push(Node::EMPTY);
                         sources.push([u32::MAX; WIDTH]);
-                        (wide.nodes.len() - 1) as u32
+                        (nodes.len() - 1) as u32
                     };
                 }
             }
             roots = next;
         }
-        wide.blocks = vec![TriangleBlock::EMPTY; wide.prims.len()];
-        (wide, sources)
+        (Self { nodes, blocks, order, vertices, levels }, sources)
     }
 
     /// Triangles of a leaf.
     #[inline]
-    pub(crate) fn leaf_prims(&self, leaf: usize) -> impl Iterator<Item = u32> + '_ {
-        self.prims[leaf].iter().copied().take_while(|&prim| prim != u32::MAX)
+    pub(crate) fn leaf_prims(&self, leaf: usize) -> &[u32] {
+        let block = &self.blocks[leaf];
+        &self.order[block.tag as usize..][..block.len()]
     }
 
-    /// Writes corners into leaves and boxes into nodes.
-    pub(crate) fn fill(&mut self, corners: impl Fn(u32) -> [[f32; 3]; 3]) {
-        for (block, prims) in self.blocks.iter_mut().zip(&self.prims) {
-            for (lane, &prim) in prims.iter().enumerate().take_while(|&(_, &prim)| prim != u32::MAX) {
-                block.set(lane, corners(prim));
-            }
+    /// Writes vertices into leaves and boxes into nodes.
+    pub(crate) fn fill(&mut self, positions: &[[f32; 3]]) {
+        let used = |ids: &[u32; LANES]| ids.iter().position(|&id| id == u32::MAX).unwrap_or(LANES);
+        for (block, ids) in self.blocks.iter_mut().zip(&self.vertices) {
+            let mut moved = [[0.0; 3]; LANES];
+            let ids = &ids[..used(ids)];
+            moved.iter_mut().zip(ids).for_each(|(v, &id)| *v = positions[id as usize]);
+            block.move_vertices(&moved[..ids.len()]);
         }
         for i in (0..self.nodes.len()).rev() {
             let mut node = self.nodes[i];
             for slot in 0..node.len() {
                 let child = node.children[slot];
                 let aabb = if child & LEAF != 0 {
-                    let leaf = (child & !LEAF) as usize;
-                    let prims = self.leaf_prims(leaf);
-                    prims.flat_map(&corners).fold(Aabb::EMPTY, Aabb::with_point)
+                    let ids = &self.vertices[(child & !LEAF) as usize];
+                    let corners = ids[..used(ids)].iter().map(|&id| positions[id as usize]);
+                    corners.fold(Aabb::EMPTY, Aabb::with_point)
                 } else {
                     self.nodes[child as usize].bounds()
                 };
@@ -172,6 +185,9 @@ impl Wide {
 
     /// Bytes of nodes and leaves.
     pub(crate) fn bytes(&self) -> usize {
-        size_of_val(&self.nodes[..]) + size_of_val(&self.blocks[..]) + size_of_val(&self.prims[..])
+        size_of_val(&self.nodes[..])
+            + size_of_val(&self.blocks[..])
+            + size_of_val(&self.order[..])
+            + size_of_val(&self.vertices[..])
     }
 }

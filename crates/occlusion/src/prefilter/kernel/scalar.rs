@@ -25,7 +25,7 @@ impl Kernel for Scalar {
     #[inline]
     fn step(self, node: &Node, ray: &Prepared, distances: &[f32; WIDTH]) -> Step {
         let mut step = Step { descend: 0, stop: 0, fraction: [0.0; WIDTH] };
-        for i in 0..WIDTH {
+        for (i, distance) in distances.iter().enumerate() {
             let (mut entry, mut exit) = (f32::NEG_INFINITY, f32::INFINITY);
             for axis in 0..3 {
                 let row = ray.near_row[axis];
@@ -39,7 +39,7 @@ impl Kernel for Scalar {
             let t0 = if entry > ray.slab.tnear { entry } else { ray.slab.tnear };
             let t1 = if exit < ray.slab.tfar { exit } else { ray.slab.tfar };
             if t0 <= t1 {
-                if node.reach[i] < ray.kappa * distances[i] {
+                if node.reach[i] < ray.kappa * distance {
                     step.stop |= 1 << i;
                     step.fraction[i] = ((t1 - t0) + ray.raise) / ((exit - entry) + ray.raise);
                 } else {
