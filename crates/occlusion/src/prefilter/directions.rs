@@ -22,24 +22,36 @@ impl Directions {
         3 * usize::from(self.n) * usize::from(self.n)
     }
 
+    /// Edge of a cell on a face whose edges are 2.
+    pub(crate) fn cell_size(self) -> f32 {
+        2.0 / f32::from(self.n)
+    }
+
     /// The cell that `direction` (any length but 0) is in.
-    #[inline]
     pub fn cell(self, direction: Vec3) -> usize {
-        let size = direction.abs();
-        let axis = if size.x >= size.y && size.x >= size.z {
-            0
-        } else if size.y >= size.z {
-            1
+        self.cell_of(direction.to_array()) as usize
+    }
+
+    /// [`Self::cell`] without branches.
+    #[inline(always)]
+    pub(crate) fn cell_of(self, [x, y, z]: [f32; 3]) -> u32 {
+        let (on_x, on_y) = axis(x, y, z);
+        let (axis, m, a, b) = if on_x {
+            (0, x, y, z)
+        } else if on_y {
+            (1, y, z, x)
         } else {
-            2
+            (2, z, x, y)
         };
-        let d = direction.to_array();
-        let scale = 1.0 / d[axis];
         let n = f32::from(self.n);
-        // The cast maps NaN to 0.
-        let place = |x: f32| (((x * scale + 1.0) * 0.5 * n) as usize).min(usize::from(self.n) - 1);
-        let (i, j) = (place(d[(axis + 1) % 3]), place(d[(axis + 2) % 3]));
-        (axis * usize::from(self.n) + i) * usize::from(self.n) + j
+        let half = 0.5 * n / m;
+        // NaN becomes the first cell.
+        let place = |x: f32| {
+            let at = x * half + 0.5 * n;
+            let at = if at > 0.0 { at } else { 0.0 };
+            (if at < n - 0.5 { at } else { n - 0.5 }) as i32 as u32
+        };
+        (axis * u32::from(self.n) + place(a)) * u32::from(self.n) + place(b)
     }
 
     /// Unit vector at (`u`, `v`) of a cell, its corners being 0 and 1.
@@ -92,24 +104,35 @@ impl Directions {
         out
     }
 
-    /// `direction` moved by up to half a cell each way, for random numbers in `[0, 1)`: the cell it is in then has the
-    /// weights of [`Self::bilinear`].
-    #[inline]
-    pub fn jittered(self, direction: Vec3, u: f32, v: f32) -> Vec3 {
-        let size = direction.abs();
-        let axis = if size.x >= size.y && size.x >= size.z {
-            0
-        } else if size.y >= size.z {
-            1
+    /// A direction moved by `u`, `v` on its face, whose edges are 2. For random numbers up to half a cell either way the
+    /// cell it is in then has the weights of [`Self::bilinear`].
+    #[inline(always)]
+    pub(crate) fn jittered(self, [x, y, z]: [f32; 3], u: f32, v: f32) -> [f32; 3] {
+        let (on_x, on_y) = axis(x, y, z);
+        let size = if on_x {
+            x.abs()
+        } else if on_y {
+            y.abs()
         } else {
-            2
+            z.abs()
         };
-        let step = size[axis] * 2.0 / f32::from(self.n);
-        let mut d = direction;
-        d[(axis + 1) % 3] += step * (u - 0.5);
-        d[(axis + 2) % 3] += step * (v - 0.5);
-        d
+        let (u, v) = (u * size, v * size);
+        let (dx, dy, dz) = if on_x {
+            (0.0, u, v)
+        } else if on_y {
+            (v, 0.0, u)
+        } else {
+            (u, v, 0.0)
+        };
+        [x + dx, y + dy, z + dz]
     }
+}
+
+/// Whether x, and whether y, is the face that a direction meets.
+#[inline(always)]
+fn axis(x: f32, y: f32, z: f32) -> (bool, bool) {
+    let (x, y, z) = (x.abs(), y.abs(), z.abs());
+    ((x >= y) & (x >= z), y >= z)
 }
 
 #[cfg(test)]

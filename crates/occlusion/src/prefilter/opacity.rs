@@ -129,7 +129,7 @@ impl<E: Element> Measure<'_, E> {
     #[inline(always)]
     fn opacity<K: Kernel>(&self, kernel: K, node: &Node, slot: usize, cell: usize, seed: u32) -> f32 {
         let aabb = node.child_box(slot);
-        let view = cell_view(self.scene.table, self.directions, cell);
+        let view = self.scene.table.view(cell as u32, self.directions.center(cell));
         let (turn_u, turn_v) =
             (unit(combine(seed, 2 * cell as u32)), unit(combine(seed, 2 * cell as u32 + 1)));
         let back = aabb.diagonal();
@@ -148,10 +148,6 @@ impl<E: Element> Measure<'_, E> {
         }
         if count == 0 { 0.0 } else { blocked / count as f32 }
     }
-}
-
-fn cell_view<E: Element>(table: &Cube<E>, directions: Directions, cell: usize) -> usize {
-    table.view(directions, directions.center(cell))
 }
 
 /// Opacities of all children that `masks` let end rays, from the leaves up.

@@ -1,11 +1,12 @@
-//! Many rays at once: sixteen walk together, each answered as if alone, to the bit.
+//! Rays of different origins: sixteen walk together, each answered as if alone.
 //!
-//! Rays that share an origin share most nodes near it, and the distances that decide where they end; a node's boxes are loaded
-//! once, and nothing waits for anything within a node.
+//! Here: the walk of a packet. Not here: rays of one origin (`fan.rs`). A node's boxes are loaded once, and nothing waits for
+//! anything within a node.
 
 use super::{
     ConeRay, Directions, Query,
     kernel::{Kernel, Prepared, Step, dot},
+    query::Cones,
     storage::Table,
     walk::{Lost, Scene, StopStatistics, leaf_depth},
     wide::{LEAF, MAX_LEVELS, WIDTH},
@@ -69,9 +70,10 @@ impl<V: Copy> Packet<V> {
         travellers.clear();
         for (place, (cone, passed)) in rays.iter().zip(passed.iter_mut()).enumerate().take(PACKET) {
             *passed = 1.0;
-            let (kappa, raise, direction) = query.prepare(cone, directions);
+            let Cones { kappa: [kappa], raise, cells: [cell], .. } =
+                Cones::<1>::new(query, directions, &[*cone]);
             if let Some(prepared) = Prepared::new(&cone.ray, kappa, raise) {
-                let view = scene.table.view(directions, direction);
+                let view = scene.table.view(cell, cone.ray.direction);
                 let lost = Lost::nothing(kappa);
                 travellers.push(Traveller { prepared, view, lost, place: place as u8 });
             }
@@ -101,7 +103,7 @@ impl<V: Copy> Packet<V> {
             }
             let node = &scene.wide.nodes[child as usize];
             let mut origin = travellers[rest.trailing_zeros() as usize].prepared.origin;
-            let mut distances = kernel.distances(node, origin);
+            let mut sizes = kernel.sizes(node, origin);
             // Bytes are rays, bits children; the first eight rays and the others.
             let (mut rows, mut entered) = ([0u64; 2], 0);
             while rest != 0 {
@@ -110,9 +112,9 @@ impl<V: Copy> Packet<V> {
                 let Traveller { prepared, view, lost, .. } = &mut travellers[r];
                 if prepared.origin != origin {
                     origin = prepared.origin;
-                    distances = kernel.distances(node, origin);
+                    sizes = kernel.sizes(node, origin);
                 }
-                let Step { mut descend, stop, fraction } = kernel.step(node, prepared, &distances);
+                let Step { mut descend, stop, fraction } = kernel.step(node, prepared, &sizes);
                 stats.node(node.len() as u32);
                 if stop != 0 {
                     stats.stops(stop, || {

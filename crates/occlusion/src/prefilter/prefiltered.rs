@@ -1,11 +1,13 @@
 //! The hierarchy that callers hold: build, refit, queries.
 
 use super::{
-    Blend, Correlation, Directions, PrefilterError, PrefilterOptions, Query, SegmentEnds, Storage,
+    Correlation, Directions, PrefilterError, PrefilterOptions, Query, Storage,
     correlation::may_stop,
+    fan::{FAN, Fan, SMALLEST},
     kernel::{self, Job, Kernel, Prepared},
     opacity::{averages, measure, sphere_areas},
     packet::{PACKET, Packet},
+    query::Cones,
     storage::{Harmonics, Stored, Table, with_table},
     walk::{Depths, Scene, StopStatistics},
     wide::Wide,
@@ -14,7 +16,6 @@ use umbrage_accel::{BinaryTree, BuildError};
 use umbrage_geom::{
     Aabb, Progress, Ray,
     mesh::{validate_positions, validate_slices},
-    sampling::{hash, unit},
 };
 
 /// A ray that stands for a bundle of directions.
@@ -240,35 +241,7 @@ fn stored(
     })
 }
 
-impl Query {
-    /// `kappa` of [`Prepared`] for a ray, and the direction that opacities are looked up in.
-    #[inline(always)]
-    pub(crate) fn prepare(
-        &self,
-        ray: &ConeRay,
-        directions: Directions,
-    ) -> (f32, f32, umbrage_geom::glam::Vec3) {
-        let direction = ray.ray.direction;
-        let solid_angle = if ray.solid_angle > 0.0 { ray.solid_angle } else { 0.0 };
-        let kappa = solid_angle * (std::f32::consts::FRAC_1_PI / self.threshold());
-        // 0 / 0 and the like are NaN, which `max` drops.
-        let kappa = kappa.max(0.0);
-        let raise = if self.ends == SegmentEnds::Whole { Prepared::WHOLE } else { Prepared::FRACTION };
-        let widest = self.widest * self.widest;
-        if self.blend == Blend::None || kappa == 0.0 {
-            return (kappa.min(widest), raise, direction);
-        }
-        let d = direction.to_array().map(f32::to_bits);
-        let bits = hash(d[0] ^ d[1].rotate_left(11) ^ d[2].rotate_left(22) ^ ray.ray.origin.x.to_bits());
-        // 2^(2u - 1) to within 4 %.
-        let u = unit(bits);
-        let spread = 0.5 + u * (0.5 + u);
-        let part = |shift: u32| (bits >> shift & 0xff) as f32 * (1.0 / 256.0);
-        ((kappa * spread).min(widest), raise, directions.jittered(direction, part(0), part(8)))
-    }
-}
-
-/// Answers rays, in packets if there are several.
+/// Answers rays: in fans where they share an origin, else in packets.
 struct Answer<'a, T, S> {
     scene: Scene<'a, T>,
     directions: Directions,
@@ -285,18 +258,54 @@ impl<T: Table, S: StopStatistics> Job for Answer<'_, T, S> {
     fn run<K: Kernel>(self, kernel: K) {
         let Self { scene, directions, rays, query, passed, stats } = self;
         if let ([cone], [passed]) = (rays, &mut *passed) {
-            let (kappa, raise, direction) = query.prepare(cone, directions);
+            let Cones { kappa: [kappa], raise, cells: [cell], .. } = Cones::<1>::new(query, directions, rays);
             *passed = Prepared::new(&cone.ray, kappa, raise).map_or(1.0, |prepared| {
-                let view = scene.table.view(directions, direction);
+                let view = scene.table.view(cell, cone.ray.direction);
                 scene.walk(kernel, 0, &cone.ray, &prepared, view, stats)
             });
             return;
         }
-        let mut packet = Packet::new();
-        for (rays, passed) in rays.chunks(PACKET).zip(passed.chunks_mut(PACKET)) {
-            packet.answer(kernel, &scene, directions, rays, query, passed, stats);
+        let (mut packet, mut fan) = (Packet::new(), Fan::new());
+        let mut at = 0;
+        while at < rays.len() {
+            let rest = &rays[at..];
+            let same = same_origin(rest);
+            if same >= SMALLEST && rest[0].ray.origin.is_finite() {
+                let (rays, passed) = (&rest[..same], &mut passed[at..at + same]);
+                let mut left = fan.answer(kernel, &scene, directions, rays, query, passed, stats);
+                while left != 0 {
+                    let i = left.trailing_zeros() as usize;
+                    left &= left - 1;
+                    packet.answer(kernel, &scene, directions, &rays[i..=i], query, &mut passed[i..=i], stats);
+                }
+                at += same;
+            } else {
+                let mut end = same;
+                while end < rest.len().min(PACKET) && same_origin(&rest[end..]) < SMALLEST {
+                    end += 1;
+                }
+                let end = end.min(PACKET);
+                packet.answer(
+                    kernel,
+                    &scene,
+                    directions,
+                    &rest[..end],
+                    query,
+                    &mut passed[at..at + end],
+                    stats,
+                );
+                at += end;
+            }
         }
     }
+}
+
+/// Rays at the start of `rays` whose origins have the same bits, [`FAN`] at most.
+#[inline]
+fn same_origin(rays: &[ConeRay]) -> usize {
+    let bits = |cone: &ConeRay| cone.ray.origin.to_array().map(f32::to_bits);
+    let first = rays.first().map(bits);
+    rays.iter().take(FAN).take_while(|cone| Some(bits(cone)) == first).count()
 }
 
 /// The correlation height of [`PrefilterOptions`] that lets every node end rays.

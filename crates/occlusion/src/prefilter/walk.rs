@@ -1,6 +1,6 @@
 //! A ray with a solid angle through the wide tree ([Lacewell08], Algorithm 1, by the node instead of by the box).
 //!
-//! Here: the walk of one ray. Not here: many rays at once (`packet.rs`), boxes (`kernel`), opacities (`opacity.rs`).
+//! Here: the walk of one ray. Not here: many rays at once (`fan.rs`, `packet.rs`), boxes (`kernel`), opacities (`opacity.rs`).
 //!
 //! Departures: children are composited by adding optical depths; nothing is interpolated between levels, see
 //! [`super::Blend`]; a node crossed in part dims in part; the ray ends where 10 bits are lost.
@@ -194,7 +194,7 @@ impl<T: Table> Scene<'_, T> {
             if enter {
                 let node = &wide.nodes[index as usize];
                 let Step { descend, stop, fraction } =
-                    kernel.step(node, prepared, &kernel.distances(node, prepared.origin));
+                    kernel.step(node, prepared, &kernel.sizes(node, prepared.origin));
                 stats.node(node.len() as u32);
                 if stop != 0 {
                     stats.stops(stop, || wide.levels.partition_point(|level| level.end <= index as usize));

@@ -10,11 +10,14 @@ mod tests;
 
 pub(crate) use scalar::Scalar;
 
-use super::wide::{Node, WIDTH};
+use super::{
+    fan::FAN,
+    wide::{Node, WIDTH},
+};
 use umbrage_geom::{
     Ray, SlabRay,
     glam::Vec3,
-    kernel::{BlockMask, BlockRay, TriangleBlock},
+    kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
 };
 
 /// A valid ray prepared for boxes, leaves and the question where it ends.
@@ -25,7 +28,7 @@ pub(crate) struct Prepared {
     near_row: [usize; 3],
     pub(crate) block: BlockRay,
     pub(crate) origin: Vec3,
-    /// A child ends the ray when its `reach` is less than this times its squared distance; 0 for never.
+    /// A child ends the ray when its `reach` over its squared distance is less than this; 0 for never.
     pub(crate) kappa: f32,
     /// What both terms of the crossed fraction are raised by: hardly anything, or so much that it becomes 1.
     pub(crate) raise: f32,
@@ -63,16 +66,68 @@ pub(crate) struct Step {
     pub(crate) fraction: [f32; WIDTH],
 }
 
+/// A node as one origin sees it.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct FanNode {
+    /// Planes relative to the origin, in the rows of [`Node::bounds`].
+    rows: [[f32; WIDTH]; 6],
+    /// `reach` of each child over its squared distance.
+    sizes: [f32; WIDTH],
+    /// One bit for each slot in use.
+    pub(crate) used: u32,
+}
+
+/// For each child the rays that enter it, a bit each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C, align(32))]
+pub(crate) struct Columns(pub(crate) [u32; WIDTH]);
+
+/// No ray enters.
+pub(crate) const WIDE: Columns = Columns([0; WIDTH]);
+
 /// One traversal step on some instruction set.
 pub(crate) trait Kernel: Copy + Send + Sync {
-    /// Squared distances of the children's centres from `origin`.
-    fn distances(self, node: &Node, origin: Vec3) -> [f32; WIDTH];
+    /// `reach` of each child over the squared distance of its centre from `origin`.
+    fn sizes(self, node: &Node, origin: Vec3) -> [f32; WIDTH];
 
-    /// Tests all children, whose `distances` are from the ray's origin.
-    fn step(self, node: &Node, ray: &Prepared, distances: &[f32; WIDTH]) -> Step;
+    /// Tests all children, whose `sizes` are from the ray's origin.
+    fn step(self, node: &Node, ray: &Prepared, sizes: &[f32; WIDTH]) -> Step;
 
     /// See [`umbrage_geom::kernel`].
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask;
+
+    /// Moves a node's boxes.
+    fn look(self, node: &Node, origin: [f32; 3]) -> FanNode;
+
+    /// Whether a child looks smaller than `kappa`.
+    fn any_below(self, node: &FanNode, kappa: f32) -> bool;
+
+    /// Notes the children that ray `r` enters.
+    fn enter(self, node: &FanNode, rays: &FanRays<FAN>, r: usize, columns: &mut Columns);
+
+    /// The same, if none of them ends the ray; and [`Step::stop`] and [`Step::fraction`] of those that do.
+    fn enter_or_stop(
+        self,
+        node: &FanNode,
+        rays: &FanRays<FAN>,
+        r: usize,
+        kappa: f32,
+        raise: f32,
+        columns: &mut Columns,
+    ) -> (u32, [f32; WIDTH]);
+
+    /// Children that some ray enters.
+    fn nonzero(self, columns: &Columns) -> u32;
+
+    /// A leaf as one origin sees it.
+    type Planes;
+
+    /// See [`umbrage_geom::kernel::fan`].
+    fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Self::Planes;
+
+    /// See [`umbrage_geom::kernel::fan`].
+    fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask;
 }
 
 /// Work that runs on any kernel.

@@ -25,15 +25,15 @@ proptest! {
         let node = Node::with_children(&aabbs, reach);
         let raise = if whole { Prepared::WHOLE } else { Prepared::FRACTION };
         if let Some(ray) = Prepared::new(&Ray::new(o, d).with_tfar(tfar), kappa, raise) {
-            let distances = Scalar.distances(&node, ray.origin);
-            let scalar = Scalar.step(&node, &ray, &distances);
+            let sizes = Scalar.sizes(&node, ray.origin);
+            let scalar = Scalar.step(&node, &ray, &sizes);
             prop_assert_eq!(scalar.stop & scalar.descend, 0);
             prop_assert!((scalar.stop | scalar.descend) >> aabbs.len() == 0);
             prop_assert!(scalar.fraction.iter().all(|f| (0.0..=1.0).contains(f)), "{:?}", scalar.fraction);
             #[cfg(target_arch = "x86_64")]
             if let Some(avx2) = umbrage_geom::kernel::x86::Avx2::detect() {
-                let same = avx2.distances(&node, ray.origin);
-                prop_assert!((0..aabbs.len()).all(|i| same[i] == distances[i]));
+                let same = avx2.sizes(&node, ray.origin);
+                prop_assert!((0..aabbs.len()).all(|i| same[i] == sizes[i] || same[i].is_nan() == sizes[i].is_nan()));
                 let wide = avx2.step(&node, &ray, &same);
                 prop_assert_eq!((wide.stop, wide.descend), (scalar.stop, scalar.descend));
                 prop_assert_eq!(wide.fraction.map(f32::to_bits), scalar.fraction.map(f32::to_bits));
