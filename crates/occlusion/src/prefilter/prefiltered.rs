@@ -3,7 +3,7 @@
 use super::{
     Correlation, Directions, PrefilterError, PrefilterOptions, Query, Storage,
     correlation::may_stop,
-    fan::{FAN, Fan, SMALLEST},
+    fan::{self, FAN, Fans, SMALLEST},
     kernel::{self, Job, Kernel, Prepared},
     opacity::{averages, measure, sphere_areas},
     packet::{PACKET, Packet},
@@ -12,6 +12,7 @@ use super::{
     walk::{Depths, Scene, StopStatistics},
     wide::Wide,
 };
+use std::ops::Range;
 use umbrage_accel::{BinaryTree, BuildError};
 use umbrage_geom::{
     Aabb, Progress, Ray,
@@ -265,38 +266,29 @@ impl<T: Table, S: StopStatistics> Job for Answer<'_, T, S> {
             });
             return;
         }
-        let (mut packet, mut fan) = (Packet::new(), Fan::new());
+        let mut packet = Packet::new();
+        let mut others = |range: Range<usize>, passed: &mut [f32], stats: &mut S| {
+            packet.answer(kernel, &scene, directions, &rays[range.clone()], query, &mut passed[range], stats);
+        };
+        let mut fans = Fans::new();
+        let mut ranges = Vec::new();
         let mut at = 0;
         while at < rays.len() {
             let rest = &rays[at..];
-            let same = same_origin(rest);
-            if same >= SMALLEST && rest[0].ray.origin.is_finite() {
-                let (rays, passed) = (&rest[..same], &mut passed[at..at + same]);
-                let mut left = fan.answer(kernel, &scene, directions, rays, query, passed, stats);
-                while left != 0 {
-                    let i = left.trailing_zeros() as usize;
-                    left &= left - 1;
-                    packet.answer(kernel, &scene, directions, &rays[i..=i], query, &mut passed[i..=i], stats);
-                }
-                at += same;
+            let mut end = same_origin(rest);
+            if end >= SMALLEST && rest[0].ray.origin.is_finite() {
+                ranges.push(at..at + end);
             } else {
-                let mut end = same;
                 while end < rest.len().min(PACKET) && same_origin(&rest[end..]) < SMALLEST {
                     end += 1;
                 }
-                let end = end.min(PACKET);
-                packet.answer(
-                    kernel,
-                    &scene,
-                    directions,
-                    &rest[..end],
-                    query,
-                    &mut passed[at..at + end],
-                    stats,
-                );
-                at += end;
+                end = end.min(PACKET);
+                others(at..at + end, passed, stats);
             }
+            at += end;
         }
+        fan::answer(kernel, &scene, directions, rays, query, passed, &mut fans, ranges.into_iter(), stats);
+        fans.left.iter().for_each(|&i| others(i..i + 1, passed, stats));
     }
 }
 

@@ -1,6 +1,6 @@
 //! How opacities lie in memory ([Lacewell08], section 4.4), and what a ray reads of them: optical depths of eight children.
 
-use super::{Directions, wide::WIDTH};
+use super::{Directions, kernel::Kernel, wide::WIDTH};
 use umbrage_geom::glam::Vec3;
 
 /// Largest optical depth that bytes can say, in bits; a sum beyond 10 counts as opaque.
@@ -47,13 +47,16 @@ impl Element for u8 {
 /// Optical depths of nodes' children by direction.
 pub(crate) trait Table: Sync {
     /// What a ray looks at.
-    type View: Copy;
+    type View: Copy + Send;
 
     /// For a direction and the cell it is taken to be in.
     fn view(&self, cell: u32, direction: Vec3) -> Self::View;
 
     /// Bits; finite.
     fn depths(&self, view: Self::View, node: usize) -> [f32; WIDTH];
+
+    /// Asks for what [`Self::depths`] reads.
+    fn prefetch<K: Kernel>(&self, kernel: K, view: Self::View, node: usize);
 }
 
 /// One row for each cell and node, cells outermost: a ray looks at one cell only.
@@ -104,6 +107,11 @@ impl<E: Element> Table for Cube<E> {
             depths[i] = row[i].depth();
         }
         depths
+    }
+
+    #[inline(always)]
+    fn prefetch<K: Kernel>(&self, kernel: K, view: usize, node: usize) {
+        kernel.prefetch(&self.rows, view + node);
     }
 }
 
@@ -187,6 +195,11 @@ impl<const N: usize> Table for Harmonics<N> {
             }
         }
         opacity.map(|alpha| depth_of(alpha.clamp(0.0, 1.0 - 1.0 / 4096.0)))
+    }
+
+    #[inline(always)]
+    fn prefetch<K: Kernel>(&self, kernel: K, _: [f32; N], node: usize) {
+        kernel.prefetch(&self.rows, node);
     }
 }
 

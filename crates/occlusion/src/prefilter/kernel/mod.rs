@@ -84,7 +84,7 @@ pub(crate) struct FanNode {
 pub(crate) struct Columns(pub(crate) [u32; WIDTH]);
 
 /// No ray enters.
-pub(crate) const WIDE: Columns = Columns([0; WIDTH]);
+pub(crate) const NO_RAYS: Columns = Columns([0; WIDTH]);
 
 /// One traversal step on some instruction set.
 pub(crate) trait Kernel: Copy + Send + Sync {
@@ -119,6 +119,9 @@ pub(crate) trait Kernel: Copy + Send + Sync {
 
     /// Children that some ray enters.
     fn nonzero(self, columns: &Columns) -> u32;
+
+    /// Asks for an element of `slice` to be fetched; hardly more than a hint.
+    fn prefetch<T>(self, slice: &[T], index: usize);
 
     /// A leaf as one origin sees it.
     type Planes;

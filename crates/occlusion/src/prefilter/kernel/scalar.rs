@@ -62,9 +62,9 @@ impl Kernel for Scalar {
         let mut seen = FanNode { rows: node.bounds, sizes: node.reach, used: (1 << node.len()) - 1 };
         for i in 0..WIDTH {
             let mut distance = 0.0;
-            for axis in 0..3 {
-                seen.rows[2 * axis][i] -= origin[axis];
-                seen.rows[2 * axis + 1][i] -= origin[axis];
+            for (axis, from) in origin.into_iter().enumerate() {
+                seen.rows[2 * axis][i] -= from;
+                seen.rows[2 * axis + 1][i] -= from;
                 let middle = (seen.rows[2 * axis][i] + seen.rows[2 * axis + 1][i]) * 0.5;
                 distance += middle * middle;
             }
@@ -94,7 +94,7 @@ impl Kernel for Scalar {
         columns: &mut Columns,
     ) -> (u32, [f32; WIDTH]) {
         let (mut stop, mut fraction) = (0, [0.0; WIDTH]);
-        for i in 0..WIDTH {
+        for (i, fraction) in fraction.iter_mut().enumerate() {
             let (mut entry, mut exit) = (f32::NEG_INFINITY, f32::INFINITY);
             for axis in 0..3 {
                 let row = 2 * axis + (rays.negative[axis][r] as usize & 1);
@@ -109,7 +109,7 @@ impl Kernel for Scalar {
             if t0 <= t1 {
                 if node.sizes[i] < kappa {
                     stop |= 1 << i;
-                    fraction[i] = ((t1 - t0) + raise) / ((exit - entry) + raise);
+                    *fraction = ((t1 - t0) + raise) / ((exit - entry) + raise);
                 } else {
                     columns.0[i] |= 1 << r;
                 }
@@ -122,6 +122,9 @@ impl Kernel for Scalar {
     fn nonzero(self, columns: &Columns) -> u32 {
         (0..WIDTH).fold(0, |mask, i| mask | u32::from(columns.0[i] != 0) << i)
     }
+
+    #[inline(always)]
+    fn prefetch<T>(self, _: &[T], _: usize) {}
 
     type Planes = fan::scalar::Planes;
 

@@ -31,8 +31,8 @@ pub(super) fn run<J: Job>(avx2: Avx2, job: J) -> J::Output {
 fn look(node: &Node, origin: [f32; 3]) -> FanNode {
     let mut seen = FanNode { rows: [[0.0; WIDTH]; 6], sizes: [0.0; WIDTH], used: 0 };
     let mut distance = _mm256_setzero_ps();
-    for axis in 0..3 {
-        let from = _mm256_set1_ps(origin[axis]);
+    for (axis, from) in origin.into_iter().enumerate() {
+        let from = _mm256_set1_ps(from);
         // SAFETY: rows are eight floats, aligned as the nodes are.
         unsafe {
             let low = _mm256_sub_ps(_mm256_load_ps(node.bounds[2 * axis].as_ptr()), from);
@@ -236,6 +236,15 @@ impl Kernel for Avx2 {
     fn nonzero(self, columns: &Columns) -> u32 {
         // SAFETY: `self` proves the target features.
         unsafe { nonzero(columns) }
+    }
+
+    #[inline(always)]
+    fn prefetch<T>(self, slice: &[T], index: usize) {
+        let target = slice.as_ptr().wrapping_add(index).cast::<i8>();
+        for offset in (0..size_of::<T>()).step_by(64) {
+            // SAFETY: a prefetch of any address is harmless; SSE belongs to the x86_64 baseline.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(target.wrapping_add(offset)) };
+        }
     }
 
     type Planes = fan::x86::Planes;
