@@ -382,3 +382,40 @@ fn instances_dim_as_copies_do() {
         Err(PrefilterError::Hierarchy { instance: 2, .. })
     ));
 }
+
+#[test]
+fn plans_keep_the_error_they_promise() {
+    use umbrage_geom::sampling::{combine, stratified};
+
+    let mesh = generated("bush", 20_000, 0);
+    let scene = build(&mesh.positions, &mesh.triangles, &[0.85], &PrefilterOptions::default());
+    let ground = |i: usize| Vec3::new((i % 16) as f32 * 0.2 - 1.6, 0.0, (i / 16) as f32 * 0.2 - 1.6);
+    let fan = |i: usize, rays: u32, seed: u32, out: &mut Vec<ConeRay>| {
+        let light = |s: umbrage_geom::glam::Vec2| Vec3::new(1.0 + s.x, 4.0, s.y);
+        let squares = stratified(rays, combine(seed, i as u32));
+        let solid_angle = 0.06 / rays as f32;
+        out.extend(squares.iter().map(|&s| ConeRay { ray: Ray::between(ground(i), light(s)), solid_angle }));
+    };
+    let mut last = f64::INFINITY;
+    for target in [0.02, 0.04, 0.08] {
+        let plan = scene.plan(target, 128, fan).expect("a target");
+        assert!(plan.error <= target && plan.query.threshold().is_finite(), "{plan:?}");
+        assert!(plan.steps <= last, "{plan:?}");
+        last = plan.steps;
+        // On receivers that the pilot has not seen.
+        let mut squares = 0.0;
+        for i in 128..256 {
+            let mean = |rays, seed, query: &Query| {
+                let mut cones = Vec::new();
+                fan(i, rays, seed, &mut cones);
+                let passed = answers(&scene, &cones, query);
+                passed.iter().sum::<f32>() / passed.len() as f32
+            };
+            squares += (mean(plan.rays, 9, &plan.query) - mean(900, 10, &Query::EXACT)).powi(2) / 128.0;
+        }
+        assert!(squares.sqrt() < 1.5 * target, "{target}: {}", squares.sqrt());
+    }
+    assert!(matches!(scene.plan(0.0, 128, fan), Err(PrefilterError::Target { .. })));
+    assert!(matches!(scene.plan(f32::NAN, 128, fan), Err(PrefilterError::Target { .. })));
+    assert!(matches!(scene.plan(0.1, 0, fan), Err(PrefilterError::Target { .. })));
+}

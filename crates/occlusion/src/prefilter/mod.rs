@@ -25,6 +25,7 @@
 
 pub mod published;
 
+mod control;
 mod correlation;
 mod directions;
 mod error;
@@ -40,6 +41,7 @@ mod storage;
 mod walk;
 mod wide;
 
+pub use control::Plan;
 pub use directions::Directions;
 pub use error::PrefilterError;
 pub use instances::PrefilteredInstances;
