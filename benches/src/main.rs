@@ -6,6 +6,7 @@ mod aomask;
 mod embree;
 mod entry;
 mod peer;
+mod prefilter;
 mod rows;
 mod scenes;
 mod stability;
@@ -17,7 +18,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit, aomask, stability.
+    /// Suite: anyhit, aomask, prefilter, stability.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -34,7 +35,8 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Only this part of the suite aomask: targets, table1.
+    /// Only this part of a suite; aomask: targets, table1; prefilter: targets, tables, fig5, fig6, fig9, fig10, bias, refit,
+    /// control, forest.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
 }
@@ -56,10 +58,14 @@ fn main() -> Result<()> {
             let Arguments { quick, peers, only, part, .. } = arguments;
             aomask::run(&aomask::Options { quick, peers, only, part }, &mut output)
         }
+        "prefilter" => {
+            let Arguments { quick, peers, only, part, .. } = arguments;
+            prefilter::run(&prefilter::Options { quick, peers, only, part }, &mut output)
+        }
         "stability" => {
             let Arguments { quick, peers, only, .. } = arguments;
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
-        other => bail!("unknown suite '{other}', expected anyhit, aomask or stability"),
+        other => bail!("unknown suite '{other}', expected anyhit, aomask, prefilter or stability"),
     }
 }

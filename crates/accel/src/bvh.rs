@@ -75,17 +75,18 @@ fn corners(positions: &[[f32; 3]], triangle: [u32; 3]) -> [[f32; 3]; 3] {
     triangle.map(|v| positions[v as usize])
 }
 
-/// The vertices of a leaf's triangles, each once.
-struct Vertices {
+/// The vertices of a leaf's triangles, each once: what a [`TriangleBlock`] is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct LeafVertices {
     /// `u32::MAX` after the last.
-    ids: [u32; LANES],
+    pub ids: [u32; LANES],
     /// By triangle: places in `ids`.
-    corners: [[u8; 3]; LANES],
+    pub corners: [[u8; 3]; LANES],
 }
 
-impl Vertices {
-    /// `None` if there are more than a leaf holds.
-    fn of(triangles: &[[u32; 3]], run: &[u32]) -> Option<Self> {
+impl LeafVertices {
+    /// Those of the triangles in `run`, eight at most; `None` if there are more than a leaf holds.
+    pub fn of(triangles: &[[u32; 3]], run: &[u32]) -> Option<Self> {
         let mut this = Self { ids: [u32::MAX; LANES], corners: [[0; 3]; LANES] };
         for (corners, &prim) in this.corners.iter_mut().zip(run) {
             for (corner, id) in corners.iter_mut().zip(triangles[prim as usize]) {
@@ -131,14 +132,14 @@ impl Bvh {
         }
         let boxes = triangle_boxes(positions, triangles);
         let leaf_size = usize::from(options.leaf_size).clamp(1, LANES);
-        let fits = |run: &[u32]| run.len() <= leaf_size && Vertices::of(triangles, run).is_some();
+        let fits = |run: &[u32]| run.len() <= leaf_size && LeafVertices::of(triangles, run).is_some();
         let topology = Topology::build(&boxes, options.quality, fits);
         let (mut blocks, mut vertices) = (Vec::new(), Vec::new());
         blocks.reserve_exact(topology.leaves.len());
         vertices.reserve_exact(topology.leaves.len());
         for leaf in &topology.leaves {
             let run = &topology.order[leaf.start as usize..leaf.end as usize];
-            let of = Vertices::of(triangles, run).expect("one triangle has three vertices");
+            let of = LeafVertices::of(triangles, run).expect("one triangle has three vertices");
             let mut block =
                 TriangleBlock::new(&[[0.0; 3]; LANES], &of.corners[..run.len()]).expect("it fits by now");
             block.tag = leaf.start;

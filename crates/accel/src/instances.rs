@@ -381,6 +381,25 @@ impl InstancedBvh {
         }
     }
 
+    /// Calls `visit(instance, ray)` with every instance that the segment may enter and the ray that it sees ([`object_ray`]),
+    /// in no promised order, until it breaks: for structures that keep something of their own for each hierarchy.
+    pub fn for_each_entered(
+        &self,
+        ray: &Ray,
+        mut visit: impl FnMut(u32, &Ray) -> ControlFlow<()>,
+        stats: &mut impl Statistics,
+    ) {
+        let mut entered = Vec::new();
+        // Collected first: a closure can't be inlined into the walk.
+        self.back_end.run(Entered { this: self, ray, entered: &mut entered, stats });
+        for index in entered {
+            let (index, _, ray) = self.enter(index, ray);
+            if visit(index, &ray).is_break() {
+                return;
+            }
+        }
+    }
+
     /// The ray prepared for the top level; `None` if it misses anyway.
     #[inline(always)]
     fn prepare(&self, ray: &Ray) -> Option<TopRay> {
@@ -439,6 +458,31 @@ trait Visitor<S> {
 enum TopRay {
     Slab(NodeRay),
     Everywhere,
+}
+
+struct Entered<'a, S> {
+    this: &'a InstancedBvh,
+    ray: &'a Ray,
+    entered: &'a mut Vec<usize>,
+    stats: &'a mut S,
+}
+
+impl<S: Statistics> Job for Entered<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        match self.this.prepare(self.ray) {
+            None => {}
+            Some(TopRay::Everywhere) => self.entered.extend(0..self.this.instances.len()),
+            Some(TopRay::Slab(node)) => {
+                let mut walk = traversal::Walk::new(kernel, &self.this.tree, &node, self.stats);
+                while let Some(index) = walk.next(self.stats) {
+                    self.entered.push(index);
+                }
+            }
+        }
+    }
 }
 
 struct AnyHit<'a, S> {

@@ -2,6 +2,7 @@
 
 pub mod brute;
 
+mod binary;
 mod bvh;
 mod error;
 mod fan;
@@ -15,7 +16,8 @@ mod topology;
 mod traversal;
 mod view;
 
-pub use bvh::{Bvh, Hit};
+pub use binary::{BinaryNode, BinaryTree};
+pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
 pub use kernel::BackEnd;

@@ -62,13 +62,13 @@ fn hints(boxes: &[Aabb]) -> Vec<obvhs::aabb::Aabb> {
 }
 
 /// Subtrees of the binary tree cover runs of the primitives in its depth-first order.
-struct Binary {
-    bvh: Bvh2,
+pub(crate) struct Binary {
+    pub(crate) bvh: Bvh2,
     /// First of `order` below each node.
-    first: Vec<u32>,
+    pub(crate) first: Vec<u32>,
     /// Primitives below each node.
-    count: Vec<u32>,
-    order: Vec<u32>,
+    pub(crate) count: Vec<u32>,
+    pub(crate) order: Vec<u32>,
 }
 
 /// Largest number of nodes on a path from the root.
@@ -85,7 +85,7 @@ fn depth(bvh: &Bvh2) -> usize {
 }
 
 impl Binary {
-    fn build(boxes: &[Aabb], quality: BuildQuality) -> Self {
+    pub(crate) fn build(boxes: &[Aabb], quality: BuildQuality) -> Self {
         let hints = hints(boxes);
         let indices = (0..boxes.len() as u32).collect();
         let search = match quality {

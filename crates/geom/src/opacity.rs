@@ -33,6 +33,12 @@ impl OpticalDepth {
         self.0 >= Self::BLACK
     }
 
+    /// `-log2(transmittance)`, rounded; `2^32` when opaque.
+    #[inline]
+    pub fn bits(self) -> f32 {
+        self.0 as f32 * (1.0 / (1u64 << 32) as f32)
+    }
+
     /// Fraction of light that passes, in `[0, 1]`: 1 exactly when clear, 0 exactly when opaque.
     pub fn transmittance(self) -> f32 {
         if self.is_opaque() { 0.0 } else { (-(self.0 as f64) * 2f64.powi(-32)).exp2() as f32 }
@@ -58,6 +64,7 @@ mod tests {
             depth += OpticalDepth::from_opacity(0.85);
         }
         assert!((depth.transmittance() - (1.0 - f64::from(0.85f32)).powi(3) as f32).abs() < 1e-9);
+        assert!((depth.bits() + 3.0 * 0.15f32.log2()).abs() < 1e-5);
         depth += OpticalDepth::from_opacity(1.0);
         assert!(depth.is_opaque());
         assert_eq!(depth.transmittance(), 0.0);

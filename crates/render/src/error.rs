@@ -14,6 +14,14 @@ pub enum RenderError {
         /// What is wrong with it.
         source: BuildError,
     },
+    /// A prefiltered hierarchy could not be built.
+    #[error("{object}: {source}")]
+    Prefilter {
+        /// Name of the mesh, or `scene`.
+        object: String,
+        /// What is wrong with it.
+        source: umbrage_occlusion::prefilter::PrefilterError,
+    },
     /// No method has that name.
     #[error("unknown {purpose} method '{name}', expected one of {}", .known.join(", "))]
     Method {

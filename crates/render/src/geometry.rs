@@ -4,9 +4,13 @@
 //! (`umbrage-accel`).
 
 use crate::RenderError;
-use std::sync::Arc;
+use std::{
+    collections::HashMap,
+    sync::{Arc, OnceLock},
+};
 use umbrage_accel::{BuildOptions, Bvh, InstancedBvh, Placement, Statistics};
 use umbrage_geom::{Aabb, OpticalDepth, Ray, TriangleHit, TriangleMesh, glam::*};
+use umbrage_occlusion::prefilter::{PrefilterOptions, Prefiltered};
 use umbrage_scene::Scene;
 
 /// Up to so many triangles in all, repeated meshes are copied into one flat BVH, whose rays are faster.
@@ -21,6 +25,15 @@ pub struct Geometry {
     albedos: Vec<Vec3>,
     opaque: bool,
     bounds: Aabb,
+    prefiltered: OnceLock<PrefilteredParts>,
+}
+
+/// Prefiltered hierarchies, built when first asked for.
+pub struct PrefilteredParts {
+    /// One for each part and set of opacities in use.
+    pub scenes: Vec<Arc<Prefiltered>>,
+    /// Which of them each instance has; one number for a flat scene.
+    pub of_instance: Vec<u32>,
 }
 
 enum Structure {
@@ -108,7 +121,7 @@ impl Geometry {
         };
         let opaque = placed.iter().flat_map(|p| &p.objects).all(|o| o.1 == OpticalDepth::OPAQUE);
         let albedos = scene.materials.iter().map(|m| m.albedo.into()).collect();
-        Ok(Self { structure, parts, placed, albedos, opaque, bounds })
+        Ok(Self { structure, parts, placed, albedos, opaque, bounds, prefiltered: OnceLock::new() })
     }
 
     /// World bounds.
@@ -133,6 +146,49 @@ impl Geometry {
     /// Whether instances are kept apart.
     pub fn is_instanced(&self) -> bool {
         matches!(self.structure, Structure::Instanced(_))
+    }
+
+    /// The two levels, if instances are kept apart.
+    pub fn instances(&self) -> Option<&InstancedBvh> {
+        match &self.structure {
+            Structure::Flat(_) => None,
+            Structure::Instanced(bvh) => Some(bvh),
+        }
+    }
+
+    /// Prefiltered hierarchies over all parts, with the opacities of their objects. Built by the first call.
+    ///
+    /// # Errors
+    /// [`RenderError::Prefilter`].
+    pub fn prefiltered(&self) -> Result<&PrefilteredParts, RenderError> {
+        if let Some(parts) = self.prefiltered.get() {
+            return Ok(parts);
+        }
+        let mut known: HashMap<(usize, Vec<u32>), u32> = HashMap::new();
+        let mut scenes = Vec::new();
+        let mut of_instance = Vec::with_capacity(self.placed.len());
+        for placed in &self.placed {
+            let opacity = |o: &(u32, OpticalDepth)| (1.0 - o.1.transmittance()).to_bits();
+            let opacities: Vec<u32> = placed.objects.iter().map(opacity).collect();
+            let key = (placed.part, opacities);
+            let next = scenes.len() as u32;
+            if let Some(&scene) = known.get(&key) {
+                of_instance.push(scene);
+                continue;
+            }
+            let part = &self.parts[placed.part];
+            let of_triangle: Vec<f32> =
+                part.object_of.iter().map(|&object| f32::from_bits(key.1[object as usize])).collect();
+            let Part { mesh, .. } = part;
+            let options = PrefilterOptions::default();
+            let scene =
+                Prefiltered::build(&mesh.positions, &mesh.triangles, &of_triangle, &options, &mut |_| true)
+                    .map_err(|source| RenderError::Prefilter { object: "scene".into(), source })?;
+            scenes.push(Arc::new(scene));
+            known.insert(key, next);
+            of_instance.push(next);
+        }
+        Ok(self.prefiltered.get_or_init(|| PrefilteredParts { scenes, of_instance }))
     }
 
     /// Fraction of light that passes along the open segment of `ray`; exact in the sense of

@@ -6,6 +6,7 @@
 use crate::{RenderError, geometry::Geometry};
 use umbrage_accel::Counters;
 use umbrage_geom::Ray;
+use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query, StopStatistics};
 
 /// One sample of a light or of the sky, seen from a receiver.
 #[derive(Clone, Copy, Debug)]
@@ -45,10 +46,74 @@ impl Method for SingleRays<'_> {
     }
 }
 
+/// Rays end at prefiltered nodes that fit inside their cones; approximate.
+struct PrefilteredRays<'a> {
+    scene: PrefilteredScene<'a>,
+    query: Query,
+}
+
+enum PrefilteredScene<'a> {
+    Flat(&'a Prefiltered),
+    Instanced(PrefilteredInstances<'a>),
+}
+
+impl<'a> PrefilteredRays<'a> {
+    fn new(geometry: &'a Geometry, threshold: f32) -> Result<Self, RenderError> {
+        let failed = |source| RenderError::Prefilter { object: "scene".into(), source };
+        let parts = geometry.prefiltered()?;
+        let scene = match geometry.instances() {
+            None => PrefilteredScene::Flat(&parts.scenes[0]),
+            Some(top) => PrefilteredScene::Instanced(
+                PrefilteredInstances::new(top, parts.scenes.clone(), &parts.of_instance).map_err(failed)?,
+            ),
+        };
+        Ok(Self { scene, query: Query::new(threshold).map_err(failed)? })
+    }
+
+    fn answer(&self, rays: &[ConeRay], passed: &mut [f32], stats: &mut impl StopStatistics) {
+        match &self.scene {
+            PrefilteredScene::Flat(scene) => scene.transmittances_with(rays, &self.query, passed, stats),
+            PrefilteredScene::Instanced(scene) => rays
+                .iter()
+                .zip(passed)
+                .for_each(|(ray, out)| *out = scene.transmittance_with(ray, &self.query, stats)),
+        }
+    }
+}
+
+impl Method for PrefilteredRays<'_> {
+    fn name(&self) -> &'static str {
+        PREFILTER
+    }
+
+    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+        // Few at a time, so that no memory is asked for.
+        let mut cones = [ConeRay { ray: Ray::new([0.0; 3], [0.0; 3]), solid_angle: 0.0 }; 64];
+        let mut counters = counters;
+        for (rays, passed) in rays.chunks(cones.len()).zip(passed.chunks_mut(cones.len())) {
+            for (cone, light) in cones.iter_mut().zip(rays) {
+                *cone = ConeRay { ray: light.ray, solid_angle: light.solid_angle };
+            }
+            match &mut counters {
+                None => self.answer(&cones[..rays.len()], passed, &mut ()),
+                Some(counters) => self.answer(&cones[..rays.len()], passed, *counters),
+            }
+        }
+    }
+}
+
+/// Name of the approximate method.
+const PREFILTER: &str = "prefilter";
+
+/// Thresholds `T` of prefiltered shadows and ambient occlusion: `docs/prefilter.md` has the errors.
+const SHADOW_THRESHOLD: f32 = 0.2;
+/// See [`SHADOW_THRESHOLD`].
+const AO_THRESHOLD: f32 = 0.3;
+
 /// Names of the shadow methods, `auto` first.
-pub const SHADOW_METHODS: &[&str] = &["auto", "bvh"];
+pub const SHADOW_METHODS: &[&str] = &["auto", "bvh", PREFILTER];
 /// Names of the ambient occlusion methods, `auto` first.
-pub const AO_METHODS: &[&str] = &["auto", "rays"];
+pub const AO_METHODS: &[&str] = &["auto", "rays", PREFILTER];
 
 /// Checks the names of both methods, before anything is built.
 ///
@@ -76,7 +141,7 @@ pub struct Choice<'a> {
 /// The shadow method called `name`.
 ///
 /// # Errors
-/// [`RenderError::Method`] if there is none.
+/// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`].
 pub fn shadow_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a>, RenderError> {
     choose(name, "shadow", SHADOW_METHODS, geometry)
 }
@@ -84,7 +149,7 @@ pub fn shadow_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a
 /// The ambient occlusion method called `name`.
 ///
 /// # Errors
-/// [`RenderError::Method`] if there is none.
+/// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`].
 pub fn ao_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a>, RenderError> {
     choose(name, "ambient occlusion", AO_METHODS, geometry)
 }
@@ -96,6 +161,11 @@ fn choose<'a>(
     geometry: &'a Geometry,
 ) -> Result<Choice<'a>, RenderError> {
     let exact = known[1];
+    if name == PREFILTER {
+        let threshold = if purpose == "shadow" { SHADOW_THRESHOLD } else { AO_THRESHOLD };
+        let method = Box::new(PrefilteredRays::new(geometry, threshold)?);
+        return Ok(Choice { method, reason: "asked for; approximate" });
+    }
     let reason = match name {
         "auto" => "exact rays serve every scene",
         _ if name == exact => "asked for",

@@ -341,3 +341,19 @@ fn an_earlier_file_survives_and_a_read_only_one_is_refused() {
     folder.fails("render scene.toml -o out.png", &["out.png"]);
     assert_eq!(folder.bytes("out.png"), b"earlier");
 }
+
+#[test]
+fn prefiltered_pictures_and_bakes_are_close_to_exact_ones() {
+    let folder = Folder::new();
+    let bush =
+        SCENE.replace("generator = \"blob\", triangles = 500", "generator = \"bush\", triangles = 20000");
+    fs::write(folder.path("bush.toml"), bush).unwrap();
+    folder.ok("render bush.toml -o exact.exr --shadows bvh --ao rays");
+    folder.ok("render bush.toml -o fast.exr --shadows prefilter --ao prefilter --stats stats.json");
+    folder.ok("compare exact.exr fast.exr --max-rmse 0.25");
+    assert!(String::from_utf8(folder.bytes("stats.json")).unwrap().contains("\"prefilter\""));
+    // Convex: nothing in the way.
+    folder.ok("bake mesh.obj -o ao.ply --method prefilter --rays 16 --stats bake.json");
+    assert!(String::from_utf8(folder.bytes("bake.json")).unwrap().contains("\"ao_mean\": 1.0"));
+    folder.fails("bake mesh.obj -o ao2.ply --method prefilter --sides front", &["both sides"]);
+}

@@ -21,6 +21,12 @@ pub enum BakeError {
     /// The acceleration structure could not be built.
     #[error(transparent)]
     Build(#[from] BuildError),
+    /// The prefiltered hierarchy could not be built.
+    #[error(transparent)]
+    Prefilter(#[from] umbrage_occlusion::prefilter::PrefilterError),
+    /// Prefiltered occluders block from both sides.
+    #[error("prefiltered occluders block from both sides; bake with rays, or with both sides")]
+    SidesWithPrefilter,
     /// A setting is 0 or too large.
     #[error("{what} is {value}, expected 1 to {limit}")]
     Count {

@@ -4,8 +4,9 @@
 //! ([`Falloff::length`]). The expected result is that of weighting the nearest hit, and any-hit queries and semi-transparent
 //! occluders need no special case (there, "nearest hit" generalizes to every crossing weighted by its own distance).
 
+use super::occluders::Answers;
 use super::receivers::{Lobe, check_count};
-use super::{BakeError, BakeOptions, Jitter, Occluders, Receivers, Shard};
+use super::{BakeError, BakeOptions, Jitter, Occluders, Receivers, Shard, Sides};
 use rayon::prelude::*;
 use umbrage_geom::{
     Falloff, Frame, Progress, Ray,
@@ -47,7 +48,7 @@ pub fn blocks(receivers: usize) -> usize {
 /// the receiver's own triangle are mirrored at its plane, so that convex surfaces stay exactly 1.
 ///
 /// # Errors
-/// Those of [`BakeOptions::validate`]; [`BakeError::Length`], [`BakeError::Shard`], [`BakeError::Cancelled`]. After an error
+/// Those of [`BakeOptions::validate`]; [`BakeError::SidesWithPrefilter`], [`BakeError::Length`], [`BakeError::Shard`], [`BakeError::Cancelled`]. After an error
 /// `ao` is as it was.
 pub fn bake(
     occluders: &Occluders,
@@ -58,6 +59,9 @@ pub fn bake(
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), BakeError> {
     options.validate()?;
+    if occluders.is_prefiltered() && options.sides != Sides::Both {
+        return Err(BakeError::SidesWithPrefilter);
+    }
     if ao.len() != receivers.len() {
         return Err(BakeError::Length { what: "results", actual: ao.len(), expected: receivers.len() });
     }
@@ -128,7 +132,9 @@ struct Sample {
 #[derive(Default)]
 struct Scratch {
     rays: Vec<Ray>,
-    blocked: Vec<bool>,
+    /// Solid angle that each ray stands for.
+    angles: Vec<f32>,
+    answers: Answers,
 }
 
 impl<'a> Integrator<'a> {
@@ -172,16 +178,18 @@ impl<'a> Integrator<'a> {
         let mut light = 0.0;
         for start in (0..rays).step_by(BATCH) {
             scratch.rays.clear();
-            scratch.rays.extend((start..rays.min(start + BATCH)).map(|i| {
+            scratch.angles.clear();
+            let share = std::f32::consts::PI / rays as f32;
+            let Scratch { rays: batch, angles, .. } = scratch;
+            batch.extend((start..rays.min(start + BATCH)).map(|i| {
                 let sample = match self.shared.get(i) {
                     Some(sample) => Sample { direction: rotation.apply(sample.direction), ..*sample },
                     None => self.sample(i as u32, seed),
                 };
+                angles.push(share / sample.direction.z.max(1e-3));
                 self.ray(receiver, Lobe::choose(lobes, sample.lobe), &sample)
             }));
-            scratch.blocked.clear();
-            scratch.blocked.resize(scratch.rays.len(), false);
-            light += self.occluders.light(&scratch.rays, self.options.sides, &mut scratch.blocked);
+            light += self.occluders.light(batch, angles, self.options.sides, &mut scratch.answers);
         }
         (light / rays as f64) as f32
     }

@@ -6,6 +6,7 @@ use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
 };
+use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
 
 /// An opaque ground under everything.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,6 +28,19 @@ pub struct Occluders {
     /// Depth of a crossing of each triangle; empty if all are opaque.
     depths: Vec<OpticalDepth>,
     bounds: Aabb,
+    /// What answers instead of exact rays, if asked for.
+    prefiltered: Option<(Prefiltered, Query)>,
+}
+
+/// Threshold `T` of prefiltered ambient occlusion, see `docs/prefilter.md`.
+const THRESHOLD: f32 = 0.3;
+
+/// Buffers of [`Occluders::light`].
+#[derive(Default)]
+pub(super) struct Answers {
+    blocked: Vec<bool>,
+    cones: Vec<ConeRay>,
+    passed: Vec<f32>,
 }
 
 impl Occluders {
@@ -69,7 +83,28 @@ impl Occluders {
             depths = Vec::new();
         }
         let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default())?;
-        Ok(Self { bvh, mesh, depths, bounds })
+        Ok(Self { bvh, mesh, depths, bounds, prefiltered: None })
+    }
+
+    /// Prefilters the occluders: faster for loose geometry, and approximate.
+    ///
+    /// # Errors
+    /// [`BakeError::Prefilter`].
+    pub fn prefiltered(mut self) -> Result<Self, BakeError> {
+        let opacities: Vec<f32> = match &self.depths[..] {
+            [] => vec![1.0],
+            depths => depths.iter().map(|depth| 1.0 - depth.transmittance()).collect(),
+        };
+        let (positions, triangles) = (&self.mesh.positions, &self.mesh.triangles);
+        let options = PrefilterOptions::default();
+        let scene = Prefiltered::build(positions, triangles, &opacities, &options, &mut |_| true)?;
+        self.prefiltered = Some((scene, Query::new(THRESHOLD)?));
+        Ok(self)
+    }
+
+    /// Whether exact rays are not used.
+    pub fn is_prefiltered(&self) -> bool {
+        self.prefiltered.is_some()
     }
 
     /// Bounds of the meshes, without the ground.
@@ -82,8 +117,19 @@ impl Occluders {
         self.bounds.diagonal()
     }
 
-    /// Sum over `rays` of the fraction of light that passes. `blocked` is room for one answer a ray.
-    pub(super) fn light(&self, rays: &[Ray], sides: Sides, blocked: &mut [bool]) -> f64 {
+    /// Sum over `rays` of the fraction of light that passes. Each stands for a solid angle of `angles`.
+    pub(super) fn light(&self, rays: &[Ray], angles: &[f32], sides: Sides, answers: &mut Answers) -> f64 {
+        let Answers { blocked, cones, passed } = answers;
+        if let Some((scene, query)) = &self.prefiltered {
+            cones.clear();
+            cones.extend(rays.iter().zip(angles).map(|(&ray, &solid_angle)| ConeRay { ray, solid_angle }));
+            passed.clear();
+            passed.resize(rays.len(), 1.0);
+            scene.transmittances_with(cones, query, passed, &mut ());
+            return passed.iter().map(|&x| f64::from(x)).sum();
+        }
+        blocked.clear();
+        blocked.resize(rays.len(), false);
         if self.depths.is_empty() && sides == Sides::Both {
             self.bvh.any_hits_with(rays, blocked, &mut ());
             return blocked.iter().filter(|&&b| !b).count() as f64;

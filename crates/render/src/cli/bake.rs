@@ -16,7 +16,7 @@ use std::{path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
 use umbrage_geom::{Falloff, TriangleMesh};
 use umbrage_scene::{Points, Radius, Scene, read_mesh, read_points};
 
-/// Bakes ambient occlusion on to a mesh, an image or points, by exact ray casting.
+/// Bakes ambient occlusion on to a mesh, an image or points.
 ///
 /// The result is called ao: 1 is open, 0 fully occluded.
 #[derive(clap::Args)]
@@ -86,6 +86,8 @@ enum Method {
     Auto,
     /// Exact single rays.
     Rays,
+    /// Rays that end at prefiltered nodes: approximate, for foliage and hair.
+    Prefilter,
 }
 
 impl Method {
@@ -93,6 +95,7 @@ impl Method {
     fn name(self) -> &'static str {
         match self {
             Self::Auto | Self::Rays => "rays",
+            Self::Prefilter => "prefilter",
         }
     }
 }
@@ -276,7 +279,10 @@ fn bake_and_write(
     let start = Instant::now();
     let ground = if arguments.ground { Ground::Below } else { Ground::Absent };
     let meshes: Vec<&TriangleMesh> = std::iter::once(&input.mesh).chain(&input.occluders).collect();
-    let occluders = Occluders::build(&meshes, ground).with_context(source)?;
+    let mut occluders = Occluders::build(&meshes, ground).with_context(source)?;
+    if let Method::Prefilter = arguments.method {
+        occluders = occluders.prefiltered().with_context(source)?;
+    }
     let build_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let start = Instant::now();
@@ -334,6 +340,8 @@ fn fingerprint(
     if let Surface::Points { positions, normals } = &baked.surface {
         fingerprint.words(positions.iter().chain(normals).flatten().map(|x| x.to_bits()));
     }
-    fingerprint.bytes(format!("{options:?} {:?} {}", arguments.normal_source(), arguments.ground).as_bytes());
+    let method = arguments.method.name();
+    let all = format!("{options:?} {:?} {} {method}", arguments.normal_source(), arguments.ground);
+    fingerprint.bytes(all.as_bytes());
     fingerprint.finish()
 }

@@ -29,10 +29,10 @@ pub struct RenderArguments {
     /// .png.
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Shadow method [auto, bvh].
+    /// Shadow method [auto, bvh, prefilter].
     #[arg(long, value_name = "METHOD")]
     shadows: Option<String>,
-    /// Ambient occlusion method [auto, rays].
+    /// Ambient occlusion method [auto, rays, prefilter].
     #[arg(long, value_name = "METHOD")]
     ao: Option<String>,
     /// Camera samples a pixel.
