@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod brute;
+pub mod kdtree;
 
 mod bvh;
 mod error;
@@ -16,6 +17,7 @@ mod traversal;
 pub use bvh::{Bvh, Hit};
 pub use error::BuildError;
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
+pub use kdtree::KdTree;
 pub use kernel::BackEnd;
 pub use options::{BuildOptions, BuildQuality};
 pub use statistics::{Counters, Statistics};
