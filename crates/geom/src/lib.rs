@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod aabb;
+pub mod audit;
 pub mod crossing;
 pub mod differential;
 pub mod falloff;

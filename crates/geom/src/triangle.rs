@@ -50,7 +50,7 @@ pub struct TriangleHit {
 /// most 3 roundings of its factors, 3 multiplications or subtractions inside, 3 additions outside, so each product
 /// carries at most `(1 + u)^9`: in all `6 * 9 u (1 + tiny)` of the product of the three largest components. 2^-47 is 64 u.
 /// Nothing under- or overflows: products of four `f32` lie between `2^-596` and `2^512`.
-const DET_ERROR: f64 = 1.0 / (1u64 << 47) as f64;
+pub(crate) const DET_ERROR: f64 = 1.0 / (1u64 << 47) as f64;
 
 /// The filter's determinants and bounds.
 pub(crate) struct Filter {
@@ -96,7 +96,14 @@ pub(crate) fn certain_sign(x: f64, error: f64) -> Option<i32> {
 }
 
 /// Adds `det(x, y, z)`, times `factor` if there is one.
-fn add_det(sum: &mut Accumulator, x: [f32; 3], y: [f32; 3], z: [f32; 3], factor: Option<f32>, negate: bool) {
+pub(crate) fn add_det(
+    sum: &mut Accumulator,
+    x: [f32; 3],
+    y: [f32; 3],
+    z: [f32; 3],
+    factor: Option<f32>,
+    negate: bool,
+) {
     for (i, j, k, odd) in [
         (0, 1, 2, false),
         (1, 2, 0, false),
