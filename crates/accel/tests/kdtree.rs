@@ -113,7 +113,9 @@ proptest! {
         for leaf in &leaves {
             let (p, q) = (inside(&leaf.bounds, a), inside(&leaf.bounds, b));
             if let Some(p) = p {
-                prop_assert_eq!(tree.locate(p), Location::Inside(leaf.state));
+                prop_assert_eq!(tree.locate(p.as_dvec3(), 0.0), Location::Inside(leaf.state));
+                let point = umbrage_geom::Aabb { min: p, max: p };
+                prop_assert!(tree.all_in(&point, leaf.state));
             }
             if let (LeafState::Clear, Some(p), Some(q)) = (leaf.state, p, q) {
                 let ray = Ray::between(p, q);
@@ -205,5 +207,5 @@ fn guards_block_nothing_but_keep_cells_apart() {
         .unwrap();
     assert!(!tree.any_hit(&Ray::new([0.5, 0.9, 0.4], [0.0, -1.0, 0.0]).with_tfar(0.7)));
     assert!(tree.any_hit(&Ray::new([0.5, 0.9, 0.4], [0.0, -1.0, 0.0])));
-    assert_ne!(tree.locate(Vec3::new(0.5, 0.6, 0.4)), Location::Inside(LeafState::Clear));
+    assert_ne!(tree.locate(Vec3::new(0.5, 0.6, 0.4).as_dvec3(), 0.0), Location::Inside(LeafState::Clear));
 }

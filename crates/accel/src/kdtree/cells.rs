@@ -1,7 +1,7 @@
 //! The cells: leaves with their boxes, which of them meet, and where a point is.
 
 use super::{KdTree, LeafState, node::Node};
-use umbrage_geom::{Aabb, Ray, crosses_triangle, glam::Vec3};
+use umbrage_geom::{Aabb, Ray, crosses_triangle, glam::DVec3};
 
 /// A leaf and its cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -142,16 +142,15 @@ impl KdTree {
         }
     }
 
-    /// Where `point` is; [`Location::Between`] if it is not finite.
-    pub fn locate(&self, point: Vec3) -> Location {
-        if !point.is_finite() {
-            return Location::Between;
-        }
-        let Aabb { min, max } = self.bounds;
-        if point.cmplt(min).any() || point.cmpgt(max).any() {
+    /// Where all points are that are no farther than `margin` from `point` along any axis: [`Location::Between`] unless one
+    /// answer holds for all.
+    pub fn locate(&self, point: DVec3, margin: f64) -> Location {
+        let (min, max) = (self.bounds.min.as_dvec3(), self.bounds.max.as_dvec3());
+        let (low, high) = (point - margin, point + margin);
+        if high.cmplt(min).any() || low.cmpgt(max).any() {
             return Location::Outside;
         }
-        if point.cmple(min).any() || point.cmpge(max).any() {
+        if !(low.cmpgt(min).all() && high.cmplt(max).all()) {
             return Location::Between;
         }
         let mut index = 0;
@@ -160,13 +159,38 @@ impl KdTree {
             if node.is_leaf() {
                 return Location::Inside(node.state());
             }
-            let (x, position) = (point[node.axis()], node.position());
-            index = match x.partial_cmp(&position) {
-                Some(std::cmp::Ordering::Less) => index + 1,
-                Some(std::cmp::Ordering::Greater) => node.right(),
-                _ => return Location::Between,
+            let (axis, position) = (node.axis(), f64::from(node.position()));
+            index = if high[axis] < position {
+                index + 1
+            } else if low[axis] > position {
+                node.right()
+            } else {
+                return Location::Between;
             };
         }
+    }
+
+    /// Whether all leaves whose closed cells meet the closed `region` are in `state`, given that it lies strictly inside the
+    /// bounds.
+    pub fn all_in(&self, region: &Aabb, state: LeafState) -> bool {
+        let inside = region.min.cmpgt(self.bounds.min).all() && region.max.cmplt(self.bounds.max).all();
+        let mut stack = vec![0];
+        while let Some(index) = stack.pop().filter(|_| inside) {
+            let node = self.nodes[index];
+            if node.is_leaf() {
+                if node.state() != state {
+                    return false;
+                }
+                continue;
+            }
+            if region.min[node.axis()] <= node.position() {
+                stack.push(index + 1);
+            }
+            if region.max[node.axis()] >= node.position() {
+                stack.push(node.right());
+            }
+        }
+        inside
     }
 
     /// Crossings of `ray` out minus in, over the triangles that `winding` gives a weight: how they turn (1 as given, -1

@@ -11,7 +11,7 @@ mod walk;
 
 pub use cells::{Leaf, Location};
 pub use node::LeafState;
-pub use walk::{Blocker, Cells, KdCounters, KdScratch, KdStatistics, Order, Search};
+pub use walk::{Blocker, Cells, KdCounters, KdScratch, KdStatistics, Order, Search, Start};
 
 use crate::{
     BackEnd, BuildError,

@@ -87,20 +87,35 @@ impl Blocker {
     }
 }
 
-/// Decides whether an opaque cell ends a ray. `()` never does.
-pub trait Cells {
-    /// Whether opaque cells matter at all.
-    const USED: bool;
+/// What is known about a ray before it walks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// Opaque cells may end it.
+    Cells,
+    /// Opaque cells mean nothing to it: it walks in ray order if all rays of its packet do.
+    Plain,
+    /// The cell in this slot blocks it.
+    Blocked(u32),
+}
 
-    /// Whether the cell in `slot`, which the ray in `lane` may touch, surely blocks it.
-    fn blocks(&mut self, slot: u32, lane: usize) -> bool;
+/// Decides whether opaque cells end rays. `()` never does.
+pub trait Cells {
+    /// Called for each valid ray that may touch the tree's bounds, before it walks.
+    fn start(&mut self, lane: usize, ray: &Ray, slab: &SlabRay) -> Start;
+
+    /// Whether the cell in `slot`, which the ray in `lane` may touch, surely blocks it. Not asked for rays that started
+    /// [`Start::Plain`].
+    fn blocks(&mut self, slot: u32, lane: usize, slab: &SlabRay) -> bool;
 }
 
 impl Cells for () {
-    const USED: bool = false;
+    #[inline(always)]
+    fn start(&mut self, _: usize, _: &Ray, _: &SlabRay) -> Start {
+        Start::Plain
+    }
 
     #[inline(always)]
-    fn blocks(&mut self, _: u32, _: usize) -> bool {
+    fn blocks(&mut self, _: u32, _: usize, _: &SlabRay) -> bool {
         false
     }
 }
@@ -192,6 +207,7 @@ impl<const N: usize> Default for KdScratch<N> {
 /// Rays prepared to walk together.
 struct Group<'a, const N: usize> {
     rays: [&'a Ray; N],
+    slabs: [Option<SlabRay>; N],
     blocks: [Option<BlockRay>; N],
     origin: [[f32; N]; 3],
     near: [[f32; N]; 3],
@@ -206,6 +222,7 @@ impl<'a, const N: usize> Group<'a, N> {
     fn new(rays: [&'a Ray; N], tree: &KdTree) -> (Self, Entry<N>) {
         let mut group = Self {
             rays,
+            slabs: [None; N],
             blocks: [None; N],
             origin: [[0.0; N]; 3],
             near: [[1.0; N]; 3],
@@ -215,6 +232,7 @@ impl<'a, const N: usize> Group<'a, N> {
         let mut root = Entry::EMPTY;
         for lane in (0..N).rev() {
             let Some(slab) = SlabRay::new(rays[lane]) else { continue };
+            group.slabs[lane] = Some(slab);
             group.blocks[lane] = BlockRay::new(rays[lane]);
             let (mut t0, mut t1) = (slab.tnear, slab.tfar);
             for axis in 0..3 {
@@ -265,6 +283,8 @@ struct Walk<'a, const N: usize, K, S> {
     found: [Blocker; N],
     /// Lanes without a blocker so far.
     alive: u32,
+    /// Lanes that opaque cells may end.
+    solid: u32,
 }
 
 impl<const N: usize, K: Kernel, S: KdStatistics> Walk<'_, N, K, S> {
@@ -332,8 +352,13 @@ impl<const N: usize, K: Kernel, S: KdStatistics> Walk<'_, N, K, S> {
                 }
             }
             LeafState::Opaque => {
-                for lane in 0..N {
-                    if C::USED && lanes & 1 << lane != 0 && cells.blocks(node.slot(), lane) {
+                let mut lanes = lanes & self.solid;
+                while lanes != 0 {
+                    let lane = lanes.trailing_zeros() as usize % N;
+                    lanes &= lanes - 1;
+                    if let Some(slab) = &self.group.slabs[lane]
+                        && cells.blocks(node.slot(), lane, slab)
+                    {
                         self.found[lane] = Blocker::Cell(node.slot());
                         self.alive &= !(1 << lane);
                     }
@@ -359,27 +384,39 @@ pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
     scratch: &mut KdScratch<N>,
     stats: &mut S,
 ) -> [Blocker; N] {
+    let (group, root) = Group::new(rays, tree);
+    let alive = root.lanes();
+    let found = [Blocker::Nothing; N];
+    let mut walk = Walk { kernel, tree, group: &group, stats, found, alive, solid: 0 };
+    for lane in 0..N {
+        let Some(slab) = group.slabs[lane].as_ref().filter(|_| alive & 1 << lane != 0) else { continue };
+        match cells.start(lane, rays[lane], slab) {
+            Start::Cells => walk.solid |= 1 << lane,
+            Start::Plain => {}
+            Start::Blocked(slot) => {
+                walk.found[lane] = Blocker::Cell(slot);
+                walk.alive &= !(1 << lane);
+            }
+        }
+    }
+    let order = if walk.solid & walk.alive == 0 { Order::RAY } else { order };
     match order.search {
-        Search::Near => search::<N, NEAR, K, C, S>(kernel, tree, rays, order, cells, scratch, stats),
-        Search::Solid => search::<N, SOLID, K, C, S>(kernel, tree, rays, order, cells, scratch, stats),
-        Search::Breadth => search::<N, BREADTH, K, C, S>(kernel, tree, rays, order, cells, scratch, stats),
-        Search::Quick => search::<N, QUICK, K, C, S>(kernel, tree, rays, order, cells, scratch, stats),
+        Search::Near => search::<N, NEAR, K, C, S>(walk, root, order, cells, scratch),
+        Search::Solid => search::<N, SOLID, K, C, S>(walk, root, order, cells, scratch),
+        Search::Breadth => search::<N, BREADTH, K, C, S>(walk, root, order, cells, scratch),
+        Search::Quick => search::<N, QUICK, K, C, S>(walk, root, order, cells, scratch),
     }
 }
 
 #[inline(always)]
 fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: KdStatistics>(
-    kernel: K,
-    tree: &KdTree,
-    rays: [&Ray; N],
+    mut walk: Walk<N, K, S>,
+    mut entry: Entry<N>,
     order: Order,
     cells: &mut C,
     scratch: &mut KdScratch<N>,
-    stats: &mut S,
 ) -> [Blocker; N] {
-    let (group, mut entry) = Group::new(rays, tree);
-    let alive = entry.lanes();
-    let mut walk = Walk { kernel, tree, group: &group, stats, found: [Blocker::Nothing; N], alive };
+    let (tree, group) = (walk.tree, walk.group);
     let KdScratch { entries, deferred } = scratch;
     deferred.clear();
     // A stack ends at `tail`; a queue runs from `head` to `tail`.
