@@ -8,6 +8,7 @@ mod peer;
 mod rows;
 mod scenes;
 mod stability;
+mod volumetric;
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
@@ -16,7 +17,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit, stability.
+    /// Suite: anyhit, stability, volumetric.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -52,6 +53,10 @@ fn main() -> Result<()> {
             let Arguments { quick, peers, only, .. } = arguments;
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
-        other => bail!("unknown suite '{other}', expected anyhit or stability"),
+        "volumetric" => {
+            let Arguments { quick, only, .. } = arguments;
+            volumetric::run(&volumetric::Options { quick, only }, &mut output)
+        }
+        other => bail!("unknown suite '{other}', expected anyhit, stability or volumetric"),
     }
 }

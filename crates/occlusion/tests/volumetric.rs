@@ -68,6 +68,7 @@ fn mesh(parts: &[Part]) -> (Mesh, Vec<Object>) {
             0 => cube(),
             1 => sphere(0),
             2 => sphere(1),
+            4 => sphere(4),
             _ => sphere(2),
         };
         match spoil {
@@ -208,7 +209,7 @@ fn build(parts: &[Part], options: &KdVolumetricOptions) -> (Mesh, KdVolumetric) 
     (mesh, built)
 }
 
-const BALL: Part = (3, [0.0; 3], [1.0; 3], 11);
+const BALL: Part = (4, [0.0; 3], [1.0; 3], 11);
 
 #[test]
 fn a_ball_is_full_of_occluders_that_end_rays() {
@@ -260,7 +261,7 @@ fn segments_inside_of_a_ball_hit_nothing() {
 
 /// A bowl: the ball without the triangles above a height.
 fn bowl(height: f32) -> Mesh {
-    let (positions, mut triangles) = sphere(3);
+    let (positions, mut triangles) = sphere(4);
     triangles.retain(|t| t.iter().any(|&v| positions[v as usize][1] < height));
     (positions, triangles)
 }

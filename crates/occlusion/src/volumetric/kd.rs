@@ -85,12 +85,14 @@ pub struct Query {
     pub ends: Ends,
     /// The light whose cache is used, if any.
     pub light: Option<usize>,
+    /// Whether occluders end rays at all.
+    pub occluders: bool,
 }
 
 impl Default for Query {
     /// [`Order::QUICK`] without a cache.
     fn default() -> Self {
-        Self { order: Order::QUICK, ends: Ends::Unknown, light: None }
+        Self { order: Order::QUICK, ends: Ends::Unknown, light: None, occluders: true }
     }
 }
 
@@ -105,6 +107,12 @@ impl Query {
     #[must_use]
     pub fn with_ends(self, ends: Ends) -> Self {
         Self { ends, ..self }
+    }
+
+    /// With occluders or without.
+    #[must_use]
+    pub fn with_occluders(self, occluders: bool) -> Self {
+        Self { occluders, ..self }
     }
 
     /// With the cache of a light.
@@ -219,8 +227,13 @@ impl KdVolumetric {
     ) -> [bool; N] {
         let cache = query.light.map(|light| Scratch::cache(caches, light));
         let mut cells = Occluders { this: self, ends: query.ends, cache, events: Events::default() };
-        let found = self.tree.blockers(rays, query.order, &mut cells, scratch, stats);
-        cells.events.report(stats);
+        let found = if query.occluders && !self.boxes.is_empty() {
+            let found = self.tree.blockers(rays, query.order, &mut cells, scratch, stats);
+            cells.events.report(stats);
+            found
+        } else {
+            self.tree.blockers(rays, Order::RAY, &mut (), scratch, stats)
+        };
         for (&ray, &blocker) in rays.iter().zip(&found) {
             match blocker {
                 Blocker::Cell(slot) => stats.ended_in_cell(self.boxes[slot as usize].area()),
@@ -323,9 +336,6 @@ impl Cells for Occluders<'_> {
     #[inline(always)]
     fn start(&mut self, _: usize, ray: &Ray, slab: &SlabRay) -> Start {
         let this = self.this;
-        if this.boxes.is_empty() {
-            return Start::Plain;
-        }
         // Dynamic use, [Djeu11], section 4.3, with a box a generator.
         self.events.boxes += this.groups.len() as u32;
         if this.group_pack.touched(slab) == 0 {
