@@ -2,10 +2,12 @@
 
 use super::scene::{Scene, Shadows};
 use anyhow::Result;
+use std::sync::Arc;
 use std::time::Instant;
 use umbrage_accel::{BuildOptions, Bvh, KdTree, kdtree::Order};
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, Solids, Statistics,
+    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, SolidBvh, SolidBvhOptions,
+    SolidScratch, Solids, Statistics,
 };
 
 /// Orders under their names.
@@ -20,7 +22,9 @@ pub const ORDERS: [(&str, Order); 6] = [
 
 /// The structures of a scene, with the times that they took.
 pub struct Structures {
-    pub bvh: Bvh,
+    pub bvh: Arc<Bvh>,
+    pub solid: SolidBvh,
+    pub solid_s: f64,
     pub bvh_s: f64,
     pub kd: KdVolumetric,
     /// Of the tree alone.
@@ -36,8 +40,12 @@ impl Structures {
         let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
         let seconds = |start: Instant| start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let bvh = Bvh::build(positions, triangles, &BuildOptions::default())?;
+        let bvh = Arc::new(Bvh::build(positions, triangles, &BuildOptions::default())?);
         let bvh_s = seconds(start);
+        let start = Instant::now();
+        let solid =
+            SolidBvh::build(bvh.clone(), positions, triangles, &scene.objects, &SolidBvhOptions::default());
+        let solid_s = seconds(start);
         let options = KdVolumetricOptions::default();
         let start = Instant::now();
         let solids = Solids::find(positions, triangles, &scene.objects, &options.solids);
@@ -48,7 +56,7 @@ impl Structures {
         let start = Instant::now();
         let kd = KdVolumetric::new(tree, solids, Classifier::Flood);
         let classify_s = seconds(start);
-        Ok(Self { bvh, bvh_s, kd, kd_s, audit_s, classify_s })
+        Ok(Self { bvh, solid, solid_s, bvh_s, kd, kd_s, audit_s, classify_s })
     }
 }
 
@@ -70,6 +78,7 @@ pub struct Caster<'a> {
 
 pub enum Kind<'a> {
     Bvh(&'a Bvh),
+    Solid(&'a SolidBvh, bool),
     /// A tree, an order, whether occluders are used, whether they are cached.
     Kd(&'a KdVolumetric, Order, bool, bool),
 }
@@ -86,6 +95,31 @@ impl Caster<'_> {
                 Call::Single => shadows.rays.iter().zip(hits).for_each(|(ray, hit)| *hit = bvh.any_hit(ray)),
                 Call::Packets => bvh.any_hits_with(&shadows.rays, hits, &mut ()),
             },
+            Kind::Solid(solid, cached) => {
+                let mut scratch = SolidScratch::default();
+                let ends: Vec<Ends> = scene
+                    .lights
+                    .iter()
+                    .map(
+                        |light| {
+                            if solid.is_outside(&light.bounds()) { Ends::Outside } else { Ends::Unknown }
+                        },
+                    )
+                    .collect();
+                for fan in &shadows.fans {
+                    let range = fan.start as usize..fan.end as usize;
+                    let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
+                    let light = cached.then_some(fan.light as usize);
+                    let ends = ends[fan.light as usize];
+                    match self.call {
+                        Call::Single => rays
+                            .iter()
+                            .zip(hits)
+                            .for_each(|(ray, hit)| *hit = solid.any_hit(ray, ends, light, &mut scratch)),
+                        Call::Packets => solid.any_hits(rays, hits, ends, light, &mut scratch),
+                    }
+                }
+            }
             Kind::Kd(kd, order, occluders, cached) => {
                 let mut scratch = Scratch::default();
                 // Lights are classified once.

@@ -116,7 +116,7 @@ fn measure(scene: &Scene, shadows: &Shadows, casters: &[Caster]) {
             "  {:<14} {:7.1} ns/ray  vs kd {:5.2}  diff {different} steps {:.1} tris {:.1} cell {:.2} vc {:.2} tri {:.2}",
             c.method,
             median(&times[i]) / n as f64 * 1e9,
-            paired_speedup(&times[2], &times[i]),
+            paired_speedup(&times[6], &times[i]),
             k.kd.steps as f64 / n as f64,
             k.kd.triangle_tests as f64 / n as f64,
             k.cell_hits as f64 / n as f64,

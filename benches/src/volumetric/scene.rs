@@ -90,7 +90,7 @@ fn join(parts: &[TriangleMesh], extent: f32, y: f32) -> (TriangleMesh, Vec<Objec
 fn ring(extent: f32) -> Vec<Light> {
     let light = |i: u32| {
         let angle = 0.3 + i as f32 * TAU / 5.0;
-        let center = Vec3::new(angle.cos() * 1.2, 0.9, angle.sin() * 1.2) * extent;
+        let center = Vec3::new(angle.cos() * 1.2, 0.7, angle.sin() * 1.2) * extent;
         Light { center, size: 0.25 * extent }
     };
     (0..5).map(light).collect()
@@ -167,7 +167,7 @@ impl Scene {
         for tile in chosen {
             for place in 0..256 {
                 let (x, y) = (tile % tiles * 16 + place % 16, tile / tiles * 16 + place / 16);
-                let offset = |i: u32| 0.7 * ((i as f32 + 0.5) / side as f32 - 0.5);
+                let offset = |i: u32| 0.55 * ((i as f32 + 0.5) / side as f32 - 0.5);
                 let ray = Ray::new(self.eye, forward + right * offset(x) - up * offset(y));
                 let Some(hit) = bvh.closest_hit(&ray) else { continue };
                 let [a, b, c] = self.mesh.triangle(hit.prim_index as usize).map(Vec3::from);

@@ -13,6 +13,7 @@ mod packet;
 mod statistics;
 mod topology;
 mod traversal;
+mod view;
 
 pub use bvh::{Bvh, Hit};
 pub use error::BuildError;
@@ -21,3 +22,4 @@ pub use kdtree::KdTree;
 pub use kernel::BackEnd;
 pub use options::{BuildOptions, BuildQuality};
 pub use statistics::{Counters, Statistics};
+pub use view::Child;

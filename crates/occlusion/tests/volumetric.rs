@@ -1,8 +1,9 @@
 //! Whatever occluders there are: every answer is that of the loop over all triangles.
 
 use proptest::prelude::*;
+use std::sync::Arc;
 use umbrage_accel::{
-    BackEnd, brute,
+    BackEnd, BuildOptions, Bvh, brute,
     kdtree::{KdOptions, LeafState, Order, Search},
 };
 use umbrage_geom::{
@@ -10,7 +11,8 @@ use umbrage_geom::{
     glam::{DVec3, Vec3},
 };
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidOptions,
+    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
+    SolidBvhOptions, SolidCounters, SolidOptions, SolidScratch,
 };
 
 type Mesh = (Vec<[f32; 3]>, Vec<[u32; 3]>);
@@ -177,6 +179,46 @@ proptest! {
         }
     }
 
+    /// Solid boxes in a wide hierarchy: single rays, and fans of all kinds.
+    #[test]
+    fn wide_hierarchies_give_the_answers_of_the_predicate((parts, aims) in cases(), apart in any::<bool>(), leaf in 1u8..9) {
+        let (mesh, objects) = mesh(&parts);
+        let rays = segments(&mesh, &parts, aims);
+        let objects = if apart { &objects[..] } else { &[] };
+        let bvh = Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default().with_leaf_size(leaf)).unwrap();
+        let built = SolidBvh::build(Arc::new(bvh), &mesh.0, &mesh.1, objects, &SolidBvhOptions::default());
+        // Fans from each origin towards where the other rays go, with lengths and ends of all kinds.
+        let fans = rays.iter().flat_map(|from| {
+            rays.iter().map(move |to| {
+                let target = if to.tfar == f32::INFINITY { to.direction } else { to.origin + to.direction - from.origin };
+                Ray { origin: from.origin, direction: target, ..*to }
+            })
+        });
+        let fans: Vec<Ray> = fans.collect();
+        let truth = |rays: &[Ray]| -> Vec<bool> { rays.iter().map(|ray| brute::any_hit(&mesh.0, &mesh.1, ray)).collect() };
+        let (single_truth, fan_truth) = (truth(&rays), truth(&fans));
+        for simd in [false, true] {
+            let built = built.clone().with_simd(simd);
+            let mut scratch = SolidScratch::default();
+            for light in [None, Some(1)] {
+                let single: Vec<bool> =
+                    rays.iter().map(|ray| built.any_hit(ray, Ends::Unknown, light, &mut scratch)).collect();
+                prop_assert_eq!(&single, &single_truth, "{:?} {}", light, simd);
+                let mut hits = vec![false; fans.len()];
+                built.any_hits(&fans, &mut hits, Ends::Unknown, light, &mut scratch);
+                for i in 0..fans.len() {
+                    prop_assert_eq!(hits[i], fan_truth[i], "{:?} {} {:?}", light, simd, fans[i]);
+                }
+                for (ray, &hit) in rays.iter().zip(&single_truth) {
+                    let end = Vec3::from(ray.at(ray.tfar));
+                    if ray.tfar == f32::INFINITY || built.is_outside(&Aabb { min: end - 1e-3, max: end + 1e-3 }) {
+                        prop_assert_eq!(built.any_hit(ray, Ends::Outside, light, &mut scratch), hit);
+                    }
+                }
+            }
+        }
+    }
+
     /// Both classifiers mark the same cells, and what the exact winding number says of points in them.
     #[test]
     fn classifiers_agree((parts, _) in cases(), apart in any::<bool>(), at in [0.01f32..0.99, 0.01f32..0.99, 0.01f32..0.99]) {
@@ -292,6 +334,34 @@ fn an_open_ball_has_occluders_for_rays_that_avoid_its_hole() {
     let down = Ray::between([0.05, 4.0, 0.0], [0.0, -3.0, 0.0]);
     assert!(built.any_hit_with(&down, &query, &mut scratch, &mut counters));
     assert_eq!((counters.cell_hits, counters.triangle_hits), (1, 1));
+}
+
+#[test]
+fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
+    let (mesh, objects) = mesh(&[BALL]);
+    let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
+    let built = SolidBvh::build(bvh, &mesh.0, &mesh.1, &objects, &SolidBvhOptions::default());
+    assert!(built.generator_count() == 1 && built.coverage(0) > 0.3 && !built.occluders().is_empty());
+    for aabb in built.occluders() {
+        let farthest = aabb.min.abs().max(aabb.max.abs());
+        assert!(farthest.length() < 1.0, "{aabb:?}");
+    }
+    let (mut scratch, mut counters) = (SolidScratch::default(), SolidCounters::default());
+    for i in 0..200 {
+        let angle = i as f32 * 0.1;
+        let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
+        let ray = Ray::between(from, -from * 1.1);
+        assert!(built.any_hit_counted(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters));
+        let inside = Ray::between(from * 0.1, -from * 0.1);
+        assert!(!built.any_hit(&inside, Ends::Unknown, Some(0), &mut scratch));
+    }
+    assert!(counters.solid_hits == 200 && counters.remembered_hits > 150, "{counters:?}");
+    // An open one, from inside through the hole.
+    let mesh = bowl(0.9);
+    let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
+    let built = SolidBvh::build(bvh, &mesh.0, &mesh.1, &[], &SolidBvhOptions::default());
+    assert!(built.generator_count() == 1);
+    assert!(!built.any_hit(&Ray::between([0.0; 3], [0.05, 4.0, 0.0]), Ends::Unknown, None, &mut scratch));
 }
 
 #[test]

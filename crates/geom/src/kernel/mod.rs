@@ -74,6 +74,12 @@ impl TriangleBlock {
         }
     }
 
+    /// Coordinates of all lanes, by corner and axis.
+    #[inline]
+    pub fn corners(&self) -> &[[[f32; LANES]; 3]; 3] {
+        &self.corners
+    }
+
     /// The triangle in `lane`, NaN if there is none.
     ///
     /// # Panics

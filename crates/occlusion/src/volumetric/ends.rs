@@ -26,17 +26,24 @@ fn end(ray: &Ray, t: f32) -> (DVec3, f64) {
     (origin + step, origin.abs().max(step.abs()).max_element() * MARGIN)
 }
 
-/// Whether an end of the segment is surely in space of winding number 0.
+/// Whether `outside(point, margin)` is true of an end of the segment: whatever is within `margin` of `point` along each axis.
 #[inline]
-pub(crate) fn is_outside(tree: &KdTree, ray: &Ray) -> bool {
+pub(crate) fn either(ray: &Ray, outside: impl Fn(DVec3, f64) -> bool) -> bool {
     if ray.tfar == f32::INFINITY {
         return true;
     }
-    let outside = |t: f32| {
+    [ray.tfar, ray.tnear].into_iter().any(|t| {
         let (point, margin) = end(ray, t);
+        outside(point, margin)
+    })
+}
+
+/// Whether an end of the segment is surely in space of winding number 0.
+#[inline]
+pub(crate) fn is_outside(tree: &KdTree, ray: &Ray) -> bool {
+    either(ray, |point, margin| {
         matches!(tree.locate(point, margin), Location::Outside | Location::Inside(LeafState::Clear))
-    };
-    outside(ray.tfar) || outside(ray.tnear)
+    })
 }
 
 /// Whether all points of the closed `region` are surely in space of winding number 0.

@@ -22,11 +22,14 @@
 
 mod boxes;
 mod cache;
+mod carve;
 mod classify;
 mod ends;
 mod kd;
 mod solids;
 mod statistics;
+mod voxels;
+mod wide;
 
 pub use boxes::BoxPack;
 pub use cache::OccluderCache;
@@ -35,3 +38,4 @@ pub use ends::Ends;
 pub use kd::{KdVolumetric, KdVolumetricOptions, Query, Scratch};
 pub use solids::{Generator, Object, SolidOptions, Solids};
 pub use statistics::{Counters, Statistics};
+pub use wide::{SolidBvh, SolidBvhOptions, SolidCounters, SolidScratch};

@@ -59,6 +59,10 @@ pub struct Generator {
     pub triangles: u32,
     /// Holes that were capped.
     pub holes: u32,
+    /// Its triangles, turned or not.
+    range: Range<u32>,
+    /// Its caps among all.
+    caps: Range<usize>,
 }
 
 /// The generators of a mesh as one closed surface.
@@ -106,8 +110,15 @@ impl Solids {
             if bounds.is_empty() || volume <= 0.0 {
                 continue;
             }
-            let (object, triangles) = (index as u32, turned().count() as u32);
-            solids.generators.push(Generator { object, bounds, triangles, holes: caps.guards.len() as u32 });
+            let first = solids.caps.len();
+            solids.generators.push(Generator {
+                object: index as u32,
+                bounds,
+                triangles: turned().count() as u32,
+                holes: caps.guards.len() as u32,
+                range: object.triangles.clone(),
+                caps: first..first + caps.triangles.len(),
+            });
             solids.turns[range].copy_from_slice(&orientation.turns);
             solids.caps.extend(caps.triangles);
             solids.guards.extend(caps.guards);
@@ -135,6 +146,26 @@ impl Solids {
         self.turns[prim as usize].into()
     }
 
+    /// The closed surface of one generator.
+    pub(crate) fn surface<'a>(
+        &'a self,
+        generator: usize,
+        positions: &'a [[f32; 3]],
+        triangles: &'a [[u32; 3]],
+    ) -> Surface<'a> {
+        let Generator { range, caps, .. } = &self.generators[generator];
+        let range = range.start as usize..range.end as usize;
+        let first: u32 = self.generators[..generator].iter().map(|g| g.holes).sum();
+        let guards = first as usize..(first + self.generators[generator].holes) as usize;
+        Surface {
+            positions,
+            triangles: &triangles[range.clone()],
+            turns: &self.turns[range],
+            caps: &self.caps[caps.clone()],
+            guards: &self.guards[guards],
+        }
+    }
+
     /// Whether a point of the closed `region` may be inside of anything.
     pub fn may_enclose(&self, region: &Aabb) -> bool {
         self.generators
@@ -151,10 +182,39 @@ impl Solids {
 
     /// [`Self::winding_number`] by a loop over all triangles.
     pub fn winding_number_of(&self, positions: &[[f32; 3]], triangles: &[[u32; 3]], point: Vec3) -> i32 {
+        let (turns, caps, guards) = (&self.turns[..], &self.caps[..], &self.guards[..]);
+        Surface { positions, triangles, turns, caps, guards }.winding_number(point)
+    }
+}
+
+/// A closed surface: turned triangles and caps.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Surface<'a> {
+    positions: &'a [[f32; 3]],
+    triangles: &'a [[u32; 3]],
+    turns: &'a [i8],
+    caps: &'a [[[f32; 3]; 3]],
+    guards: &'a [Aabb],
+}
+
+impl<'a> Surface<'a> {
+    /// A box around the caps of each hole.
+    pub(crate) fn guards(&self) -> &'a [Aabb] {
+        self.guards
+    }
+
+    /// All triangles that no box may touch: those that are turned, and caps.
+    pub(crate) fn triangles(self) -> impl Iterator<Item = [[f32; 3]; 3]> + 'a {
+        let turned = self.triangles.iter().zip(self.turns).filter(|(_, turn)| **turn != 0);
+        turned.map(move |(t, _)| t.map(|v| self.positions[v as usize])).chain(self.caps.iter().copied())
+    }
+
+    /// Winding number around `point` by a loop, exact.
+    pub(crate) fn winding_number(&self, point: Vec3) -> i32 {
         let ray = Ray::new(point, TEST_DIRECTION);
         let crossing = |corners| crosses_triangle(&ray, corners).map_or(0, |c| c.winding());
-        let turned = triangles.iter().zip(&self.turns).filter(|(_, turn)| **turn != 0);
-        let own = turned.map(|(t, &turn)| i32::from(turn) * crossing(t.map(|v| positions[v as usize])));
+        let turned = self.triangles.iter().zip(self.turns).filter(|(_, turn)| **turn != 0);
+        let own = turned.map(|(t, &turn)| i32::from(turn) * crossing(t.map(|v| self.positions[v as usize])));
         own.sum::<i32>() + self.caps.iter().map(|&cap| crossing(cap)).sum::<i32>()
     }
 }
