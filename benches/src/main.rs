@@ -34,6 +34,9 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
+    /// Where the suite volumetric draws pictures.
+    #[arg(long, value_name = "FOLDER")]
+    pictures: Option<PathBuf>,
 }
 
 fn main() -> Result<()> {
@@ -54,8 +57,8 @@ fn main() -> Result<()> {
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
         "volumetric" => {
-            let Arguments { quick, only, .. } = arguments;
-            volumetric::run(&volumetric::Options { quick, only }, &mut output)
+            let Arguments { quick, only, pictures, .. } = arguments;
+            volumetric::run(&volumetric::Options { quick, only, pictures }, &mut output)
         }
         other => bail!("unknown suite '{other}', expected anyhit, stability or volumetric"),
     }

@@ -23,7 +23,7 @@ pub struct Scene {
     pub lights: Vec<Light>,
 }
 
-/// A horizontal square; a point if its size is 0.
+/// A horizontal square; a point if its size is 0, to which one ray a receiver goes.
 #[derive(Clone, Copy)]
 pub struct Light {
     center: Vec3,
@@ -86,21 +86,55 @@ fn join(parts: &[TriangleMesh], extent: f32, y: f32) -> (TriangleMesh, Vec<Objec
     (mesh, objects)
 }
 
-/// Five square lights on a ring.
+/// Five square lights on a ring, low enough for long shadows.
 fn ring(extent: f32) -> Vec<Light> {
     let light = |i: u32| {
         let angle = 0.3 + i as f32 * TAU / 5.0;
-        let center = Vec3::new(angle.cos() * 1.2, 0.7, angle.sin() * 1.2) * extent;
+        let center = Vec3::new(angle.cos() * 1.1, 0.65, angle.sin() * 1.1) * extent;
         Light { center, size: 0.25 * extent }
     };
     (0..5).map(light).collect()
+}
+
+/// `count` point lights spread over the sky.
+fn points(count: u32, center: Vec3, radius: f32) -> Vec<Light> {
+    let light = |i: u32| {
+        let height = 0.25 + 0.7 * (i as f32 + 0.5) / count as f32;
+        let (angle, across) = (i as f32 * 2.399_963, (1.0 - height * height).sqrt());
+        Light {
+            center: center + Vec3::new(angle.cos() * across, height, angle.sin() * across) * radius,
+            size: 0.0,
+        }
+    };
+    (0..count).map(light).collect()
+}
+
+/// The generator `stage` as it is, under point lights.
+pub fn stage(name: &str, triangles: usize, lights: u32) -> Result<Scene> {
+    let mesh = scenes::generated("stage", triangles)?;
+    let objects = mesh.objects_or_whole();
+    let objects = objects.iter().map(|o| Object { triangles: o.triangles.clone(), opaque: o.opacity == 1.0 });
+    let objects = objects.collect();
+    let bounds = mesh.bounds();
+    let size = 0.5 * bounds.diagonal();
+    // The characters, not the ground's full width.
+    let look = Vec3::new(bounds.center().x, bounds.min.y + 0.15 * size, bounds.center().z);
+    let eye = look + Vec3::new(0.35, 0.4, 1.0) * size;
+    let lights = points(lights, look, 1.5 * size);
+    Ok(Scene { name: name.into(), mesh, objects, eye, look, lights })
+}
+
+/// One object on the ground under point lights.
+pub fn single_points(name: &str, mesh: &TriangleMesh, lights: u32) -> Scene {
+    let scene = single(name, mesh);
+    Scene { lights: points(lights, Vec3::ZERO, 2.0), ..scene }
 }
 
 /// One object on the ground.
 pub fn single(name: &str, mesh: &TriangleMesh) -> Scene {
     let placed = place(mesh, Vec3::ZERO, 1.0, 0.0);
     let (mesh, objects) = join(&[placed], 2.0, -0.0005);
-    let (eye, look) = (Vec3::new(0.35, 0.75, 1.15), Vec3::new(0.0, 0.22, 0.0));
+    let (eye, look) = (Vec3::new(0.3, 0.6, 0.95), Vec3::new(0.0, 0.2, 0.0));
     Scene { name: name.into(), mesh, objects, eye, look, lights: ring(1.0) }
 }
 
@@ -155,9 +189,6 @@ impl Scene {
     /// 16 x 16 pixels, one in `step`.
     pub fn shadows(&self, side: u32, per_light: u32, step: u32) -> Result<Shadows> {
         let bvh = Bvh::build(&self.mesh.positions, &self.mesh.triangles, &BuildOptions::default())?;
-        let forward = (self.look - self.eye).normalize();
-        let right = forward.cross(Vec3::Y).normalize();
-        let up = right.cross(forward);
         let tiles = side / 16;
         let mut shadows = Shadows { rays: Vec::new(), fans: Vec::new(), side };
         // Scattered by a stride without common factor.
@@ -167,8 +198,7 @@ impl Scene {
         for tile in chosen {
             for place in 0..256 {
                 let (x, y) = (tile % tiles * 16 + place % 16, tile / tiles * 16 + place / 16);
-                let offset = |i: u32| 0.55 * ((i as f32 + 0.5) / side as f32 - 0.5);
-                let ray = Ray::new(self.eye, forward + right * offset(x) - up * offset(y));
+                let ray = self.camera_ray(x, y, side);
                 let Some(hit) = bvh.closest_hit(&ray) else { continue };
                 let [a, b, c] = self.mesh.triangle(hit.prim_index as usize).map(Vec3::from);
                 let normal = (b - a).cross(c - a).normalize_or_zero();
@@ -182,15 +212,36 @@ impl Scene {
         Ok(shadows)
     }
 
+    /// The ray through the middle of a pixel.
+    fn camera_ray(&self, x: u32, y: u32, side: u32) -> Ray {
+        let forward = (self.look - self.eye).normalize();
+        let right = forward.cross(Vec3::Y).normalize();
+        let up = right.cross(forward);
+        let offset = |i: u32| 0.7 * ((i as f32 + 0.5) / side as f32 - 0.5);
+        Ray::new(self.eye, forward + right * offset(x) - up * offset(y))
+    }
+
+    /// Normals of what each pixel sees of `mesh`.
+    pub fn first_normals(&self, mesh: &TriangleMesh, side: u32) -> Result<Vec<Option<Vec3>>> {
+        let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default())?;
+        let normal = |i: u32| {
+            let hit = bvh.closest_hit(&self.camera_ray(i % side, i / side, side))?;
+            let [a, b, c] = mesh.triangle(hit.prim_index as usize).map(Vec3::from);
+            Some((b - a).cross(c - a).normalize_or_zero())
+        };
+        Ok((0..side * side).map(normal).collect())
+    }
+
     /// Rays from one receiver to every light that it faces.
     fn add_fans(&self, shadows: &mut Shadows, receiver: Vec3, normal: Vec3, pixel: u32, per_light: u32) {
         let mut random = RandomStream::new(99, pixel);
-        let columns = if per_light >= 4 { 5 } else { 1 };
         for (light, shape) in self.lights.iter().enumerate() {
             if normal.dot(shape.center - receiver) <= 0.0 {
                 continue;
             }
+            let columns = per_light.min(5);
             let start = shadows.rays.len() as u32;
+            let per_light = if shape.size == 0.0 { 1 } else { per_light };
             for k in 0..per_light {
                 let cell = Vec2::new((k % columns) as f32, (k / columns) as f32);
                 let jitter = Vec2::new(random.next_unit(), random.next_unit());
@@ -208,6 +259,7 @@ pub fn closed_mesh(name: &str, quick: bool) -> Result<Option<TriangleMesh>> {
     let generated = |triangles| scenes::generated(name, triangles).map(Some);
     match name {
         "dragonish" => generated(if quick { 100_000 } else { 870_000 }),
+        "knots" | "blob" => generated(if quick { 30_000 } else { 120_000 }),
         _ => match scenes::mesh_folder() {
             Some(folder) => {
                 Ok(Some(umbrage_scene::read_mesh(&folder.join("closed").join(name).with_extension("obj"))?))
