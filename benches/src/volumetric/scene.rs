@@ -191,10 +191,9 @@ impl Scene {
         let bvh = Bvh::build(&self.mesh.positions, &self.mesh.triangles, &BuildOptions::default())?;
         let tiles = side / 16;
         let mut shadows = Shadows { rays: Vec::new(), fans: Vec::new(), side };
-        // Scattered by a stride without common factor.
+        // Scattered by a stride that has no factor in common with the number of tiles.
         let chosen = (0..tiles * tiles / step)
-            .map(|i| i.wrapping_mul(2_654_435_769) >> 7)
-            .map(|i| i % (tiles * tiles));
+            .map(|i| i.wrapping_mul(if step == 1 { 1 } else { 1_597 }) % (tiles * tiles));
         for tile in chosen {
             for place in 0..256 {
                 let (x, y) = (tile % tiles * 16 + place % 16, tile / tiles * 16 + place / 16);
@@ -217,7 +216,7 @@ impl Scene {
         let forward = (self.look - self.eye).normalize();
         let right = forward.cross(Vec3::Y).normalize();
         let up = right.cross(forward);
-        let offset = |i: u32| 0.7 * ((i as f32 + 0.5) / side as f32 - 0.5);
+        let offset = |i: u32| 0.85 * ((i as f32 + 0.5) / side as f32 - 0.5);
         Ray::new(self.eye, forward + right * offset(x) - up * offset(y))
     }
 

@@ -32,9 +32,14 @@ pub(super) const RAYS: usize = 24;
 /// Rays that rather go on alone.
 const FEW: u32 = 3;
 
+/// Intervals of lanes that are not used: empty.
+const NO_START: Lanes = [[1.0; WIDTH]; RAYS / WIDTH];
+const NO_END: Lanes = [[-1.0; WIDTH]; RAYS / WIDTH];
+
 const UNIT: f32 = 1.0 / (1u32 << 24) as f32;
 
-type Lanes = [f32; RAYS];
+/// Lanes in groups of eight.
+type Lanes = [[f32; WIDTH]; RAYS / WIDTH];
 
 /// Signs of a direction component over the fan.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -74,8 +79,8 @@ struct SeenBlock {
     /// `80 u M^3`.
     volume_error: [f32; LANES],
     /// Lanes whose numbers can be trusted.
-    sane: [bool; LANES],
-    used: u8,
+    sane: u32,
+    used: u32,
 }
 
 impl Fan {
@@ -84,10 +89,10 @@ impl Fan {
             slabs: Vec::with_capacity(RAYS),
             places: [0; RAYS],
             origin: [0.0; 3],
-            near: [[1.0; RAYS]; 3],
-            far: [[1.0; RAYS]; 3],
-            tnear: [1.0; RAYS],
-            tfar: [-1.0; RAYS],
+            near: [[[1.0; WIDTH]; RAYS / WIDTH]; 3],
+            far: [[[1.0; WIDTH]; RAYS / WIDTH]; 3],
+            tnear: NO_START,
+            tfar: NO_END,
             signs: [Sign::Mixed; 3],
             least: [0.0; 3],
             most: [0.0; 3],
@@ -142,10 +147,11 @@ impl Fan {
             return self.slabs.is_empty();
         }
         self.origin = self.slabs[0].origin_near.to_array();
-        (self.tnear, self.tfar) = ([1.0; RAYS], [-1.0; RAYS]);
+        (self.tnear, self.tfar) = (NO_START, NO_END);
         (self.start, self.end) = (f32::INFINITY, 0.0);
         for (lane, slab) in self.slabs.iter().enumerate() {
-            (self.tnear[lane], self.tfar[lane]) = (slab.tnear, slab.tfar);
+            let (group, i) = (lane / WIDTH % (RAYS / WIDTH), lane % WIDTH);
+            (self.tnear[group][i], self.tfar[group][i]) = (slab.tnear, slab.tfar);
             (self.start, self.end) = (self.start.min(slab.tnear), self.end.max(slab.tfar));
         }
         for axis in 0..3 {
@@ -153,7 +159,8 @@ impl Fan {
             let (mut least, mut most) = (f32::INFINITY, 0f32);
             for (lane, slab) in self.slabs.iter().enumerate() {
                 let (near, far) = (slab.inv_near[axis], slab.inv_far[axis]);
-                (self.near[axis][lane], self.far[axis][lane]) = (near, far);
+                let (group, i) = (lane / WIDTH % (RAYS / WIDTH), lane % WIDTH);
+                (self.near[axis][group][i], self.far[axis][group][i]) = (near, far);
                 (forward, backward) = (forward | (near >= 0.0), backward | (near < 0.0));
                 (least, most) = (least.min(near.abs()), most.max(far.abs()));
             }
@@ -200,19 +207,24 @@ impl Fan {
                 continue;
             }
             if child & LEAF != 0 {
-                open &= !self.leaf_hits(&this.bvh.leaf_blocks()[(child & !LEAF) as usize], rays, lanes);
+                open &=
+                    !self.leaf_hits(kernel, &this.bvh.leaf_blocks()[(child & !LEAF) as usize], rays, lanes);
                 continue;
             }
+            let root;
             let node = match &light {
-                Some(light) if child == 0 => light.node,
-                _ => this.nodes[child as usize],
+                Some(light) if child == 0 => {
+                    root = light.node;
+                    &root
+                }
+                _ => &this.nodes[child as usize],
             };
-            let entered = self.shaft(&node) & node.used;
+            let entered = self.shaft(kernel, node) & node.used;
             let mut solid = entered & node.solid;
             while solid != 0 {
                 let slot = solid.trailing_zeros() as usize % WIDTH;
                 solid &= solid - 1;
-                let crossed = self.surely_crossing(&node.aabb(slot)) & lanes & open;
+                let crossed = self.surely_crossing(kernel, &node.aabb(slot)) & lanes & open;
                 if crossed != 0 {
                     let blocked = self.vouched(this, node.children[slot], rays, crossed, ends);
                     open &= !blocked;
@@ -233,7 +245,7 @@ impl Fan {
             while children != 0 {
                 let slot = (31 - children.leading_zeros()) as usize % WIDTH;
                 children &= !(1 << slot);
-                let into = self.entering(&node.aabb(slot)) & lanes;
+                let into = self.entering(kernel, &node.aabb(slot)) & lanes;
                 if into != 0 {
                     self.stack[top] = (node.children[slot], into);
                     top += 1;
@@ -259,7 +271,7 @@ impl Fan {
 
     /// Boxes of a node that some ray may enter: intervals of `t` over all rays.
     #[inline(always)]
-    fn shaft(&self, node: &Node) -> u32 {
+    fn shaft<K: Kernel>(&self, kernel: K, node: &Node) -> u32 {
         let (mut entry, mut exit) = ([self.start; WIDTH], [self.end; WIDTH]);
         for axis in 0..3 {
             let (origin, least, most) = (self.origin[axis], self.least[axis], self.most[axis]);
@@ -283,72 +295,78 @@ impl Fan {
                 Sign::Mixed => {}
             }
         }
-        (0..WIDTH).fold(0, |mask, i| mask | u32::from(entry[i] <= exit[i]) << i)
+        kernel.at_most(&entry, &exit)
     }
 
     /// Lanes that may enter a box: [`SlabRay::entry`] of each.
     #[inline(always)]
-    fn entering(&self, aabb: &Aabb) -> u32 {
-        let (mut entry, mut exit) = (self.tnear, self.tfar);
-        for axis in 0..3 {
-            let (low, high) = (aabb.min[axis] - self.origin[axis], aabb.max[axis] - self.origin[axis]);
-            let (near, far) = (&self.near[axis], &self.far[axis]);
-            match self.signs[axis] {
-                Sign::Mixed => {
-                    for i in 0..RAYS {
+    fn entering<K: Kernel>(&self, kernel: K, aabb: &Aabb) -> u32 {
+        let mut mask = 0;
+        for group in 0..RAYS / WIDTH {
+            let (mut entry, mut exit) = (self.tnear[group], self.tfar[group]);
+            for axis in 0..3 {
+                let (low, high) = (aabb.min[axis] - self.origin[axis], aabb.max[axis] - self.origin[axis]);
+                let (near, far) = (&self.near[axis][group], &self.far[axis][group]);
+                if self.signs[axis] == Sign::Mixed {
+                    for i in 0..WIDTH {
                         let (first, last) = if near[i] >= 0.0 { (low, high) } else { (high, low) };
                         let (a, b) = (first * near[i], last * far[i]);
                         entry[i] = if a > entry[i] { a } else { entry[i] };
                         exit[i] = if b < exit[i] { b } else { exit[i] };
                     }
-                }
-                sign => {
-                    let (first, last) = if sign == Sign::Forward { (low, high) } else { (high, low) };
-                    for i in 0..RAYS {
+                } else {
+                    let (first, last) =
+                        if self.signs[axis] == Sign::Forward { (low, high) } else { (high, low) };
+                    for i in 0..WIDTH {
                         let (a, b) = (first * near[i], last * far[i]);
                         entry[i] = if a > entry[i] { a } else { entry[i] };
                         exit[i] = if b < exit[i] { b } else { exit[i] };
                     }
                 }
             }
+            mask |= kernel.at_most(&entry, &exit) << (WIDTH * group);
         }
-        (0..RAYS).fold(0, |mask, i| mask | u32::from(entry[i] <= exit[i]) << i)
+        mask
     }
 
     /// Lanes that surely cross the inside of a box: [`SlabRay::surely_crosses`] of each.
     #[inline(always)]
-    fn surely_crossing(&self, aabb: &Aabb) -> u32 {
-        let (mut entry, mut exit) = (self.tnear, self.tfar);
-        for i in 0..RAYS {
-            let start = entry[i] * (1.0 + 2f32.powi(-19));
-            entry[i] = if start > 2f32.powi(-100) { start } else { 2f32.powi(-100) };
-            exit[i] *= 1.0 - 2f32.powi(-19);
-        }
-        for axis in 0..3 {
-            let (low, high) = (aabb.min[axis] - self.origin[axis], aabb.max[axis] - self.origin[axis]);
-            let (near, far) = (&self.near[axis], &self.far[axis]);
-            for i in 0..RAYS {
-                let (first, last) = if near[i] >= 0.0 { (low, high) } else { (high, low) };
-                let (a, b) = (first * far[i], last * near[i]);
-                // A ray in the plane of a face doesn't cross the box.
-                let a = if a.is_nan() { f32::INFINITY } else { a };
-                entry[i] = if a > entry[i] { a } else { entry[i] };
-                exit[i] = if b < exit[i] { b } else { exit[i] };
+    fn surely_crossing<K: Kernel>(&self, kernel: K, aabb: &Aabb) -> u32 {
+        let mut mask = 0;
+        for group in 0..RAYS / WIDTH {
+            let (mut entry, mut exit) = (self.tnear[group], self.tfar[group]);
+            for i in 0..WIDTH {
+                let start = entry[i] * (1.0 + 2f32.powi(-19));
+                entry[i] = if start > 2f32.powi(-100) { start } else { 2f32.powi(-100) };
+                exit[i] *= 1.0 - 2f32.powi(-19);
             }
+            for axis in 0..3 {
+                let (low, high) = (aabb.min[axis] - self.origin[axis], aabb.max[axis] - self.origin[axis]);
+                let (near, far) = (&self.near[axis][group], &self.far[axis][group]);
+                for i in 0..WIDTH {
+                    let (first, last) = if near[i] >= 0.0 { (low, high) } else { (high, low) };
+                    let (a, b) = (first * far[i], last * near[i]);
+                    // A ray in the plane of a face doesn't cross the box.
+                    let a = if a.is_nan() { f32::INFINITY } else { a };
+                    entry[i] = if a > entry[i] { a } else { entry[i] };
+                    exit[i] = if b < exit[i] { b } else { exit[i] };
+                }
+            }
+            mask |= kernel.less(&entry, &exit) << (WIDTH * group);
         }
-        (0..RAYS).fold(0, |mask, i| mask | u32::from(entry[i] < exit[i]) << i)
+        mask
     }
 
     /// Lanes of `lanes` that hit a triangle of the leaf.
     #[inline(always)]
-    fn leaf_hits(&self, block: &TriangleBlock, rays: &[Ray], mut lanes: u32) -> u32 {
-        let seen = SeenBlock::new(block, self.origin);
+    fn leaf_hits<K: Kernel>(&self, kernel: K, block: &TriangleBlock, rays: &[Ray], mut lanes: u32) -> u32 {
+        let seen = SeenBlock::new(kernel, block, self.origin);
         let mut hits = 0;
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize % RAYS;
             lanes &= lanes - 1;
             let ray = &rays[self.places[lane] as usize];
-            let (certain, mut uncertain) = seen.filter(ray);
+            let (certain, mut uncertain) = seen.filter(kernel, ray);
             let mut hit = certain != 0;
             while uncertain != 0 && !hit {
                 let place = uncertain.trailing_zeros() as usize % LANES;
@@ -363,7 +381,7 @@ impl Fan {
 
 impl SeenBlock {
     #[inline(always)]
-    fn new(block: &TriangleBlock, origin: [f32; 3]) -> Self {
+    fn new<K: Kernel>(kernel: K, block: &TriangleBlock, origin: [f32; 3]) -> Self {
         let mut corners = *block.corners();
         let mut size = [0f32; LANES];
         for corner in &mut corners {
@@ -390,8 +408,9 @@ impl SeenBlock {
             volume: [0.0; LANES],
             edge_error: [0.0; LANES],
             volume_error: [0.0; LANES],
-            sane: [false; LANES],
-            used: 0,
+            sane: kernel.less(&[2f32.powi(-30); LANES], &size) & kernel.less(&size, &[2f32.powi(30); LANES]),
+            // Lanes that are not used are NaN throughout.
+            used: kernel.at_most(&a[0], &a[0]),
         };
         for i in 0..LANES {
             let [x, y, z] = [0, 1, 2].map(|axis| a[axis][i] * crosses[0][axis][i]);
@@ -399,16 +418,13 @@ impl SeenBlock {
             let square = size[i] * size[i];
             seen.edge_error[i] = 64.0 * UNIT * square;
             seen.volume_error[i] = 80.0 * UNIT * square * size[i];
-            seen.sane[i] = size[i] > 2f32.powi(-30) && size[i] < 2f32.powi(30);
         }
-        // Lanes that are not used are NaN throughout.
-        seen.used = (0..LANES).fold(0, |mask, i| mask | u8::from(a[0][i] == a[0][i]) << i);
         seen
     }
 
     /// Triangles that are hit for certain, and those left open.
     #[inline(always)]
-    fn filter(&self, ray: &Ray) -> (u8, u8) {
+    fn filter<K: Kernel>(&self, kernel: K, ray: &Ray) -> (u32, u32) {
         let d = ray.direction.to_array();
         let largest = ray.direction.abs().max_element();
         let mut edges = [[0f32; LANES]; 3];
@@ -417,34 +433,44 @@ impl SeenBlock {
                 edge[i] = d[0] * cross[0][i] + d[1] * cross[1][i] + d[2] * cross[2][i];
             }
         }
+        let (mut error, mut minus, mut low, mut high) =
+            ([0f32; LANES], [0f32; LANES], [0f32; LANES], [0f32; LANES]);
         let [u, v, w] = &edges;
-        let (mut missed, mut hit) = ([false; LANES], [false; LANES]);
-        // A segment without end is as good as one that ends far beyond everything.
-        let (tnear, tfar) = (ray.tnear, ray.tfar);
-        let (bounded, tfar) = (tfar != f32::INFINITY, if tfar == f32::INFINITY { 0.0 } else { tfar });
         for i in 0..LANES {
-            let error = self.edge_error[i] * largest;
-            let (positive, negative) = (
-                (u[i] > error) | (v[i] > error) | (w[i] > error),
-                (u[i] < -error) | (v[i] < -error) | (w[i] < -error),
-            );
-            let all_positive = (u[i] > error) & (v[i] > error) & (w[i] > error);
-            let all_negative = (u[i] < -error) & (v[i] < -error) & (w[i] < -error);
-            let sign = if all_negative { -1.0 } else { 1.0 };
-            let (volume, sum) = (self.volume[i] * sign, (u[i] + v[i] + w[i]) * sign);
-            let near = volume - tnear * sum;
-            let near_error = self.volume_error[i] + 5.0 * tnear * error;
-            let far = volume - tfar * sum;
-            let far_error = self.volume_error[i] + 5.0 * tfar * error;
-            let one_sided = all_positive | all_negative;
-            let behind = near < -near_error;
-            let beyond = bounded & (far > far_error);
-            let between = (near > near_error) & (!bounded | (far < -far_error));
-            missed[i] = self.sane[i] & ((positive & negative) | (one_sided & (behind | beyond)));
-            hit[i] = self.sane[i] & one_sided & between;
+            error[i] = self.edge_error[i] * largest;
+            minus[i] = -error[i];
+            let (x, y) = if u[i] < v[i] { (u[i], v[i]) } else { (v[i], u[i]) };
+            low[i] = if w[i] < x { w[i] } else { x };
+            high[i] = if w[i] > y { w[i] } else { y };
         }
-        let mask = |lanes: &[bool; LANES]| (0..LANES).fold(0u8, |mask, i| mask | u8::from(lanes[i]) << i);
-        let hit = mask(&hit) & self.used;
-        (hit, self.used & !mask(&missed) & !hit)
+        // Edges of both signs for certain: missed.
+        let both = kernel.less(&error, &high) & kernel.less(&low, &minus);
+        let open = self.used & !(both & self.sane);
+        if open == 0 {
+            return (0, 0);
+        }
+        let (positive, negative) = (kernel.less(&error, &low), kernel.less(&high, &minus));
+        let (mut volume, mut sum) = (self.volume, [0f32; LANES]);
+        for i in 0..LANES {
+            let s = u[i] + v[i] + w[i];
+            let backwards = s < 0.0;
+            volume[i] = if backwards { -volume[i] } else { volume[i] };
+            sum[i] = s.abs();
+        }
+        // Where `t` is beyond `z` for certain, and where before it.
+        let compare = |z: f32| {
+            let (mut difference, mut bound, mut minus) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
+            for i in 0..LANES {
+                difference[i] = volume[i] - z * sum[i];
+                bound[i] = self.volume_error[i] + 5.0 * z * error[i];
+                minus[i] = -bound[i];
+            }
+            (kernel.less(&bound, &difference), kernel.less(&difference, &minus))
+        };
+        let (after_near, before_near) = compare(ray.tnear);
+        let (after_far, before_far) = if ray.tfar == f32::INFINITY { (0, 0xff) } else { compare(ray.tfar) };
+        let one_sided = open & self.sane & (positive | negative);
+        let hit = one_sided & after_near & before_far;
+        (hit, open & !hit & !(one_sided & (before_near | after_far)))
     }
 }

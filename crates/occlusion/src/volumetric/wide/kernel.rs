@@ -31,6 +31,12 @@ pub(super) trait Kernel: Copy {
 
     /// See [`umbrage_geom::kernel`].
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask;
+
+    /// Bit `i` is set if `a[i] <= b[i]`.
+    fn at_most(self, a: &[f32; WIDTH], b: &[f32; WIDTH]) -> u32;
+
+    /// Bit `i` is set if `a[i] < b[i]`.
+    fn less(self, a: &[f32; WIDTH], b: &[f32; WIDTH]) -> u32;
 }
 
 /// Work that runs on any of them.
@@ -63,6 +69,16 @@ impl Kernel for Scalar {
     #[inline(always)]
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
         scalar::filter(block, ray)
+    }
+
+    #[inline(always)]
+    fn at_most(self, a: &[f32; WIDTH], b: &[f32; WIDTH]) -> u32 {
+        (0..WIDTH).fold(0, |mask, i| mask | u32::from(a[i] <= b[i]) << i)
+    }
+
+    #[inline(always)]
+    fn less(self, a: &[f32; WIDTH], b: &[f32; WIDTH]) -> u32 {
+        (0..WIDTH).fold(0, |mask, i| mask | u32::from(a[i] < b[i]) << i)
     }
 }
 
@@ -121,6 +137,24 @@ mod x86 {
         #[inline(always)]
         fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
             Avx2::filter(self, block, ray)
+        }
+
+        #[inline(always)]
+        fn at_most(self, a: &[f32; 8], b: &[f32; 8]) -> u32 {
+            // SAFETY: `self` proves AVX2; each load reads one whole array.
+            unsafe {
+                let (a, b) = (_mm256_loadu_ps(a.as_ptr()), _mm256_loadu_ps(b.as_ptr()));
+                _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(a, b)) as u32
+            }
+        }
+
+        #[inline(always)]
+        fn less(self, a: &[f32; 8], b: &[f32; 8]) -> u32 {
+            // SAFETY: as above.
+            unsafe {
+                let (a, b) = (_mm256_loadu_ps(a.as_ptr()), _mm256_loadu_ps(b.as_ptr()));
+                _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) as u32
+            }
         }
     }
 }
