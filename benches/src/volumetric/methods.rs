@@ -8,7 +8,7 @@ use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, KdTree, kdtree::Order};
 use umbrage_occlusion::volumetric::{
     Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, SolidBvh, SolidBvhOptions,
-    SolidCounters, SolidScratch, Solids, Statistics,
+    SolidCounters, Solids, Statistics,
 };
 
 /// Orders under their names.
@@ -137,7 +137,7 @@ impl Caster<'_> {
                 Call::Together => bvh.any_hits_with(&shadows.rays, hits, &mut ()),
             },
             Kind::Solid(solid, remembered) => {
-                let mut scratch = SolidScratch::default();
+                let mut scratch = solid.scratch();
                 let ends = ends(scene, |region| solid.is_outside(region));
                 for fan in &shadows.fans {
                     let range = fan.start as usize..fan.end as usize;
@@ -194,7 +194,7 @@ impl Caster<'_> {
                 (Counters::default(), value)
             }
             Kind::Solid(solid, remembered) => {
-                let (mut scratch, mut counters) = (SolidScratch::default(), SolidCounters::default());
+                let (mut scratch, mut counters) = (solid.scratch(), SolidCounters::default());
                 for fan in &shadows.fans {
                     let light = remembered.then_some(fan.light as usize);
                     for ray in &shadows.rays[fan.start as usize..fan.end as usize] {

@@ -29,7 +29,7 @@ use crate::{
     Ray,
     exact::{Accumulator, exact_difference, small_det_sign},
 };
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 /// Where a segment meets a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -283,6 +283,17 @@ fn exact_t(ray: &Ray, corners: [[f32; 3]; 3]) -> f64 {
     // Two steps, so that neither factor leaves the range of f64.
     let exponent = ve - de;
     vm / dm * 2f64.powi(exponent / 2) * 2f64.powi(exponent - exponent / 2)
+}
+
+/// Sign of `det(a - p, b - p, c - p)`: 1 if `point` is behind the triangle's plane (`T < 0` in the [module](self)'s terms), -1
+/// in front, 0 on it or if the triangle is degenerate; exact for finite coordinates.
+pub fn plane_side(point: Vec3, corners: [[f32; 3]; 3]) -> i32 {
+    let [a, b, c] = corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()) - point.as_dvec3());
+    let size = |v: DVec3| v.abs().max_element();
+    let error = DET_ERROR * size(a) * size(b) * size(c);
+    // `exact_beyond` at 0 looks at nothing but the origin and gives the sign of `T`.
+    certain_sign(a.dot(b.cross(c)), error)
+        .unwrap_or_else(|| -exact_beyond(&Ray::new(point, Vec3::X), corners, 0.0))
 }
 
 /// Whether a triangle of finite corners has exactly no area, so that no ray can hit it.

@@ -12,7 +12,7 @@ use umbrage_geom::{
 };
 use umbrage_occlusion::volumetric::{
     Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
-    SolidBvhOptions, SolidCounters, SolidOptions, SolidScratch,
+    SolidBvhOptions, SolidCounters, SolidOptions,
 };
 
 type Mesh = (Vec<[f32; 3]>, Vec<[u32; 3]>);
@@ -199,7 +199,7 @@ proptest! {
         let (single_truth, fan_truth) = (truth(&rays), truth(&fans));
         for simd in [false, true] {
             let built = built.clone().with_simd(simd);
-            let mut scratch = SolidScratch::default();
+            let mut scratch = built.scratch();
             for light in [None, Some(1)] {
                 let single: Vec<bool> =
                     rays.iter().map(|ray| built.any_hit(ray, Ends::Unknown, light, &mut scratch)).collect();
@@ -346,7 +346,7 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
         let farthest = aabb.min.abs().max(aabb.max.abs());
         assert!(farthest.length() < 1.0, "{aabb:?}");
     }
-    let (mut scratch, mut counters) = (SolidScratch::default(), SolidCounters::default());
+    let (mut scratch, mut counters) = (built.scratch(), SolidCounters::default());
     for i in 0..200 {
         let angle = i as f32 * 0.1;
         let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
@@ -361,6 +361,7 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
     let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
     let built = SolidBvh::build(bvh, &mesh.0, &mesh.1, &[], &SolidBvhOptions::default());
     assert!(built.generator_count() == 1);
+    let mut scratch = built.scratch();
     assert!(!built.any_hit(&Ray::between([0.0; 3], [0.05, 4.0, 0.0]), Ends::Unknown, None, &mut scratch));
 }
 

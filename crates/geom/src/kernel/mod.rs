@@ -159,7 +159,8 @@ impl BlockRay {
         let (origin, direction) = (ray.origin.to_array(), ray.direction.to_array());
         Some(Self {
             axes,
-            origin: axes.map(|axis| origin[axis]),
+            // Not by `map`, which is not inlined into functions with target features.
+            origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             slopes: [direction[axes[0]] / length, direction[axes[1]] / length],
             sign: 1f32.copysign(direction[z]),
             length,

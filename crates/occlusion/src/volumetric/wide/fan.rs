@@ -5,25 +5,26 @@
 //! all rays (cross products of corners seen from the origin) is computed once.
 //!
 //! # The filter
-//! With `A = a - o` and so on, `u = 2^-24`, `M` the largest `|coordinate|` of `A`, `B`, `C` and `D` that of `d`: a component
-//! of `B x C` errs by at most `8 u M^2` (three roundings a product, one of the difference), `d . (B x C)` by `3 D 8 u M^2`
-//! plus `18 u D M^2` for its own operations: less than `E = 64 u D M^2`. `V = A . (B x C)` errs by less than `64 u M^3`
-//! likewise, and the sum `S` of three edges by `4 E`. The hit is at `t = V / S`, so it is beyond `z` for certain if
-//! `V - z S`, signed as `S`, is larger than `80 u M^3 + 5 z E`, and before it if smaller than minus that. `M` between `2^-30`
-//! and `2^30` and `D` between `2^-20` and `2^20` keep all this from under- and overflow; what is not certain, the predicate
-//! decides.
+//! With `A = a - o` and so on, `e` the side from `B` to `C`, `u = 2^-24`, `M` the largest `|coordinate|` of `A`, `B`, `C`, `L`
+//! that of the sides and `D` that of `d`: a component of `B x e = B x C` errs by at most `8 u M L` (three roundings a product,
+//! one of the difference), `d . (B x e)` by `3 D 8 u M L` plus `16 u D M L` for its own operations: less than
+//! `E = 64 u D M L`. `V = A . (B x e)` errs by less than `64 u M^2 L` likewise, and the sum `S` of three edges by `4 E`. The
+//! hit is at `t = V / S`, so it is beyond `z` for certain if `V - z S`, signed as `S`, is larger than `80 u M^2 L + 5 z E`,
+//! and before it if smaller than minus that. `M` and `L` between `2^-30` and `2^30` and `D` between `2^-20` and `2^20` keep
+//! all this from under- and overflow; what is not certain, the predicate decides. (With `B x C` itself, `L` would be `M`, and
+//! the predicate was asked for 12 % of a pass.)
 
 use super::{
     LightRoot, SolidBvh,
-    kernel::Kernel,
+    kernel::{Kernel, NodeRay},
     node::{LEAF, MAX_LEVELS, Node, WIDTH},
     walk::{self, Prepared},
 };
 use crate::volumetric::Ends;
 use umbrage_geom::{
     Aabb, Ray, SlabRay,
-    kernel::{LANES, TriangleBlock},
-    segment_hits_triangle,
+    kernel::{BlockRay, LANES, TriangleBlock},
+    plane_side, segment_hits_triangle,
 };
 
 /// Most rays of a fan.
@@ -42,7 +43,7 @@ const UNIT: f32 = 1.0 / (1u32 << 24) as f32;
 type Lanes = [[f32; WIDTH]; RAYS / WIDTH];
 
 /// Signs of a direction component over the fan.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sign {
     Forward,
     Backward,
@@ -50,8 +51,11 @@ enum Sign {
 }
 
 /// Rays of one origin, one a lane.
+#[derive(Clone, Debug)]
 pub(super) struct Fan {
     slabs: Vec<SlabRay>,
+    /// Rays that went on alone, prepared once.
+    alone: [Option<BlockRay>; RAYS],
     /// Ray of each lane.
     places: [u8; RAYS],
     origin: [f32; 3],
@@ -71,13 +75,15 @@ pub(super) struct Fan {
 
 /// Triangles of a leaf as the fan's origin sees them.
 struct SeenBlock {
-    /// Components of `B x C`, `C x A`, `A x B`.
+    /// Components of `B x C`, `C x A`, `A x B`, from a corner and a side each.
     crosses: [[[f32; LANES]; 3]; 3],
     volume: [f32; LANES],
-    /// `64 u M^2`: times `D` the bound of an edge.
+    /// `64 u M L`: times `D` the bound of an edge.
     edge_error: [f32; LANES],
-    /// `80 u M^3`.
+    /// `80 u M^2 L`.
     volume_error: [f32; LANES],
+    /// Lanes whose volume is positive, and negative; exact.
+    volume_signs: [u32; 2],
     /// Lanes whose numbers can be trusted.
     sane: u32,
     used: u32,
@@ -87,6 +93,7 @@ impl Fan {
     pub(super) fn new() -> Self {
         Self {
             slabs: Vec::with_capacity(RAYS),
+            alone: [None; RAYS],
             places: [0; RAYS],
             origin: [0.0; 3],
             near: [[[1.0; WIDTH]; RAYS / WIDTH]; 3],
@@ -147,6 +154,7 @@ impl Fan {
             return self.slabs.is_empty();
         }
         self.origin = self.slabs[0].origin_near.to_array();
+        self.alone = [None; RAYS];
         (self.tnear, self.tfar) = (NO_START, NO_END);
         (self.start, self.end) = (f32::INFINITY, 0.0);
         for (lane, slab) in self.slabs.iter().enumerate() {
@@ -196,12 +204,14 @@ impl Fan {
             }
             if lanes.count_ones() <= FEW {
                 while lanes != 0 {
-                    let lane = lanes.trailing_zeros();
+                    let lane = lanes.trailing_zeros() as usize % RAYS;
                     lanes &= lanes - 1;
-                    let ray = Prepared::new(&rays[self.places[lane as usize % RAYS] as usize]);
-                    let hit = ray.is_some_and(|ray| {
-                        walk::any_hit(kernel, this, &ray, ends, child, light.as_deref_mut(), &mut ())
-                    });
+                    let ray = &rays[self.places[lane] as usize];
+                    let Some(block) = self.alone[lane].or_else(|| BlockRay::new(ray)) else { continue };
+                    self.alone[lane] = Some(block);
+                    let ray = Prepared { ray, node: NodeRay::new(self.slabs[lane]), block };
+                    let light = light.as_deref_mut();
+                    let hit = walk::any_hit(kernel, this, &ray, ends, child, light, &mut ());
                     open &= !(u32::from(hit) << lane);
                 }
                 continue;
@@ -245,7 +255,7 @@ impl Fan {
             while children != 0 {
                 let slot = (31 - children.leading_zeros()) as usize % WIDTH;
                 children &= !(1 << slot);
-                let into = self.entering(kernel, &node.aabb(slot)) & lanes;
+                let into = self.entering(kernel, &node.aabb(slot), lanes) & lanes;
                 if into != 0 {
                     self.stack[top] = (node.children[slot], into);
                     top += 1;
@@ -298,11 +308,14 @@ impl Fan {
         kernel.at_most(&entry, &exit)
     }
 
-    /// Lanes that may enter a box: [`SlabRay::entry`] of each.
+    /// Those of `lanes` that may enter a box, and maybe others: [`SlabRay::entry`] of each.
     #[inline(always)]
-    fn entering<K: Kernel>(&self, kernel: K, aabb: &Aabb) -> u32 {
+    fn entering<K: Kernel>(&self, kernel: K, aabb: &Aabb, lanes: u32) -> u32 {
         let mut mask = 0;
         for group in 0..RAYS / WIDTH {
+            if lanes >> (WIDTH * group) & 0xff == 0 {
+                continue;
+            }
             let (mut entry, mut exit) = (self.tnear[group], self.tfar[group]);
             for axis in 0..3 {
                 let (low, high) = (aabb.min[axis] - self.origin[axis], aabb.max[axis] - self.origin[axis]);
@@ -395,11 +408,22 @@ impl SeenBlock {
         }
         let [a, b, c] = &corners;
         let mut crosses = [[[0f32; LANES]; 3]; 3];
-        for (cross, (p, q)) in crosses.iter_mut().zip([(b, c), (c, a), (a, b)]) {
+        let mut length = [0f32; LANES];
+        let given = block.corners();
+        for (cross, (p, from, to)) in crosses.iter_mut().zip([(b, 1, 2), (c, 2, 0), (a, 0, 1)]) {
+            // The side from corners as given, which is closer than from those that are rounded already.
+            let mut side = [[0f32; LANES]; 3];
+            for axis in 0..3 {
+                for i in 0..LANES {
+                    side[axis][i] = given[to][axis][i] - given[from][axis][i];
+                    let x = side[axis][i].abs();
+                    length[i] = if x > length[i] { x } else { length[i] };
+                }
+            }
             for axis in 0..3 {
                 let (j, k) = ((axis + 1) % 3, (axis + 2) % 3);
                 for i in 0..LANES {
-                    cross[axis][i] = p[j][i] * q[k][i] - p[k][i] * q[j][i];
+                    cross[axis][i] = p[j][i] * side[k][i] - p[k][i] * side[j][i];
                 }
             }
         }
@@ -408,16 +432,31 @@ impl SeenBlock {
             volume: [0.0; LANES],
             edge_error: [0.0; LANES],
             volume_error: [0.0; LANES],
-            sane: kernel.less(&[2f32.powi(-30); LANES], &size) & kernel.less(&size, &[2f32.powi(30); LANES]),
+            volume_signs: [0; 2],
+            sane: kernel.less(&[2f32.powi(-30); LANES], &size)
+                & kernel.less(&size, &[2f32.powi(30); LANES])
+                & kernel.less(&[2f32.powi(-30); LANES], &length),
             // Lanes that are not used are NaN throughout.
             used: kernel.at_most(&a[0], &a[0]),
         };
         for i in 0..LANES {
-            let [x, y, z] = [0, 1, 2].map(|axis| a[axis][i] * crosses[0][axis][i]);
-            seen.volume[i] = x + y + z;
-            let square = size[i] * size[i];
-            seen.edge_error[i] = 64.0 * UNIT * square;
-            seen.volume_error[i] = 80.0 * UNIT * square * size[i];
+            let cross = &crosses[0];
+            seen.volume[i] = a[0][i] * cross[0][i] + a[1][i] * cross[1][i] + a[2][i] * cross[2][i];
+            let product = size[i] * length[i];
+            seen.edge_error[i] = 64.0 * UNIT * product;
+            seen.volume_error[i] = 80.0 * UNIT * product * size[i];
+        }
+        let minus = seen.volume_error.map(|x| -x);
+        seen.volume_signs =
+            [kernel.less(&seen.volume_error, &seen.volume), kernel.less(&seen.volume, &minus)];
+        // Surfaces that the fan starts from: once here instead of once a ray.
+        let mut open = seen.used & !(seen.sane & (seen.volume_signs[0] | seen.volume_signs[1]));
+        while open != 0 {
+            let lane = open.trailing_zeros() as usize % LANES;
+            open &= open - 1;
+            let side = plane_side(origin.into(), block.get(lane));
+            seen.volume_signs[0] = seen.volume_signs[0] & !(1 << lane) | u32::from(side > 0) << lane;
+            seen.volume_signs[1] = seen.volume_signs[1] & !(1 << lane) | u32::from(side < 0) << lane;
         }
         seen
     }
@@ -467,7 +506,13 @@ impl SeenBlock {
             }
             (kernel.less(&bound, &difference), kernel.less(&difference, &minus))
         };
-        let (after_near, before_near) = compare(ray.tnear);
+        let (after_near, before_near) = if ray.tnear == 0.0 {
+            // `t` has the sign of `V S`, and 0 is outside of the segment.
+            let after = self.volume_signs[0] & positive | self.volume_signs[1] & negative;
+            (after, !after)
+        } else {
+            compare(ray.tnear)
+        };
         let (after_far, before_far) = if ray.tfar == f32::INFINITY { (0, 0xff) } else { compare(ray.tfar) };
         let one_sided = open & self.sane & (positive | negative);
         let hit = one_sided & after_near & before_far;

@@ -19,8 +19,8 @@ pub(super) struct NodeRay {
 impl NodeRay {
     #[inline(always)]
     pub(super) fn new(slab: SlabRay) -> Self {
-        let inv = slab.inv_near.to_array();
-        Self { slab, near_row: [0, 1, 2].map(|axis| 2 * axis + usize::from(inv[axis] < 0.0)) }
+        let row = |axis: usize| 2 * axis + usize::from(slab.inv_near[axis] < 0.0);
+        Self { slab, near_row: [row(0), row(1), row(2)] }
     }
 }
 

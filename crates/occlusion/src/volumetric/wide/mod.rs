@@ -64,10 +64,13 @@ pub struct SolidBvh {
     simd: bool,
 }
 
-/// What a thread keeps from ray to ray: for each light the root with the boxes that ended rays last.
-#[derive(Clone, Debug, Default)]
+/// What a thread keeps from ray to ray: for each light the root with the boxes that ended rays last, and room for fans.
+///
+/// It belongs to one [`SolidBvh`]: with another, remembered boxes would be wrong.
+#[derive(Clone, Debug)]
 pub struct SolidScratch {
     lights: Vec<LightRoot>,
+    fan: Box<fan::Fan>,
 }
 
 #[derive(Clone, Debug)]
@@ -165,8 +168,14 @@ impl SolidBvh {
     ///
     /// `light` names the light that the ray goes to, if any: rays to one light are likely to end at the same boxes.
     pub fn any_hit(&self, ray: &Ray, ends: Ends, light: Option<usize>, scratch: &mut SolidScratch) -> bool {
-        let root = light.filter(|_| !self.solids.is_empty()).map(|light| self.root(scratch, light));
+        let root =
+            light.filter(|_| !self.solids.is_empty()).map(|light| self.root(&mut scratch.lights, light));
         kernel::run(self.simd, AnyHit { this: self, ray, ends, root, watch: &mut () })
+    }
+
+    /// What a thread needs to trace rays.
+    pub fn scratch(&self) -> SolidScratch {
+        SolidScratch { lights: Vec::new(), fan: Box::new(fan::Fan::new()) }
     }
 
     /// [`Self::any_hit`], counted.
@@ -178,7 +187,8 @@ impl SolidBvh {
         scratch: &mut SolidScratch,
         counters: &mut SolidCounters,
     ) -> bool {
-        let root = light.filter(|_| !self.solids.is_empty()).map(|light| self.root(scratch, light));
+        let root =
+            light.filter(|_| !self.solids.is_empty()).map(|light| self.root(&mut scratch.lights, light));
         kernel::run(self.simd, AnyHit { this: self, ray, ends, root, watch: counters })
     }
 
@@ -195,17 +205,17 @@ impl SolidBvh {
         scratch: &mut SolidScratch,
     ) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
-        let root = light.filter(|_| !self.solids.is_empty()).map(|light| self.root(scratch, light));
-        kernel::run(self.simd, AnyHits { this: self, rays, hits, ends, root });
+        let SolidScratch { lights, fan } = scratch;
+        let root = light.filter(|_| !self.solids.is_empty()).map(|light| self.root(lights, light));
+        kernel::run(self.simd, AnyHits { this: self, rays, hits, ends, root, fan });
     }
 
     /// The root as `light` sees it.
-    fn root<'a>(&self, scratch: &'a mut SolidScratch, light: usize) -> &'a mut LightRoot {
-        if scratch.lights.len() <= light {
-            let fresh = LightRoot { node: self.nodes[0], next: 0 };
-            scratch.lights.resize(light + 1, fresh);
+    fn root<'a>(&self, lights: &'a mut Vec<LightRoot>, light: usize) -> &'a mut LightRoot {
+        if lights.len() <= light {
+            lights.resize(light + 1, LightRoot { node: self.nodes[0], next: 0 });
         }
-        &mut scratch.lights[light]
+        &mut lights[light]
     }
 
     /// Whether all points of `region`, such as a light, are surely outside of every generator, so that segments to it have
@@ -298,6 +308,7 @@ struct AnyHits<'a> {
     hits: &'a mut [bool],
     ends: Ends,
     root: Option<&'a mut LightRoot>,
+    fan: &'a mut fan::Fan,
 }
 
 impl Job for AnyHits<'_> {
@@ -305,7 +316,6 @@ impl Job for AnyHits<'_> {
 
     #[inline(always)]
     fn run<K: Kernel>(mut self, kernel: K) {
-        let mut fan = fan::Fan::new();
         let mut start = 0;
         while start < self.rays.len() {
             let origin = self.rays[start].origin;
@@ -313,7 +323,7 @@ impl Job for AnyHits<'_> {
                 self.rays[start..].iter().take(fan::RAYS).take_while(|ray| ray.origin == origin).count();
             let range = start..start + run;
             let (rays, hits) = (&self.rays[range.clone()], &mut self.hits[range]);
-            fan.any_hits(kernel, self.this, rays, hits, self.ends, self.root.as_deref_mut());
+            self.fan.any_hits(kernel, self.this, rays, hits, self.ends, self.root.as_deref_mut());
             start += run;
         }
     }
