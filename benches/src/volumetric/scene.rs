@@ -90,7 +90,7 @@ fn join(parts: &[TriangleMesh], extent: f32, y: f32) -> (TriangleMesh, Vec<Objec
 fn ring(extent: f32) -> Vec<Light> {
     let light = |i: u32| {
         let angle = 0.3 + i as f32 * TAU / 5.0;
-        let center = Vec3::new(angle.cos() * 1.1, 0.5, angle.sin() * 1.1) * extent;
+        let center = Vec3::new(angle.cos() * 1.1, 0.65, angle.sin() * 1.1) * extent;
         Light { center, size: 0.25 * extent }
     };
     (0..5).map(light).collect()
@@ -216,7 +216,7 @@ impl Scene {
         let forward = (self.look - self.eye).normalize();
         let right = forward.cross(Vec3::Y).normalize();
         let up = right.cross(forward);
-        let offset = |i: u32| 0.65 * ((i as f32 + 0.5) / side as f32 - 0.5);
+        let offset = |i: u32| 0.85 * ((i as f32 + 0.5) / side as f32 - 0.5);
         Ray::new(self.eye, forward + right * offset(x) - up * offset(y))
     }
 

@@ -67,6 +67,8 @@ impl<'a> Sums<'a> {
             } else if low[axis] > 0 {
                 l[axis] -= 1;
                 h[axis] = low[axis];
+            } else {
+                break;
             }
             if h[axis] > self.voxels.size[axis] || l[axis] >= h[axis] || !self.full(l, h) {
                 break;

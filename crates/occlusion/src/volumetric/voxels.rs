@@ -123,6 +123,11 @@ impl Voxels {
 
     /// Floods regions of unmarked voxels and asks once for each: neighbours share a closed face that no triangle touches.
     fn label(&mut self, winding: &dyn Fn(Vec3) -> i32) {
+        if self.state[0] == Voxel::Boundary {
+            // Planes were rounded on to the surface: the empty layer isn't one, so nothing is known.
+            self.state.fill(Voxel::Boundary);
+            return;
+        }
         let strides = [1, self.size[0], self.size[0] * self.size[1]];
         let mut seen = vec![false; self.state.len()];
         let mut regions: Vec<Vec<u32>> = Vec::new();

@@ -11,8 +11,8 @@
 //! `E = 64 u D M L`. `V = A . (B x e)` errs by less than `64 u M^2 L` likewise, and the sum `S` of three edges by `4 E`. The
 //! hit is at `t = V / S`, so it is beyond `z` for certain if `V - z S`, signed as `S`, is larger than `80 u M^2 L + 5 z E`,
 //! and before it if smaller than minus that. `M` and `L` between `2^-30` and `2^30` and `D` between `2^-20` and `2^20` keep
-//! all this from under- and overflow; what is not certain, the predicate decides. (With `B x C` itself, `L` would be `M`, and
-//! the predicate was asked for 12 % of a pass.)
+//! all this from under- and overflow; what is not certain, the predicate decides. (With `B x C` itself, `L` would be `M`, far
+//! too much for small triangles.)
 
 use super::{
     LightRoot, SolidBvh,
