@@ -10,6 +10,7 @@ mod prefilter;
 mod rows;
 mod scenes;
 mod stability;
+mod volumetric;
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
@@ -18,7 +19,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit, aomask, prefilter, stability.
+    /// Suite: anyhit, aomask, prefilter, stability, volumetric.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -39,6 +40,9 @@ struct Arguments {
     /// control, forest.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
+    /// Where the suite volumetric draws pictures.
+    #[arg(long, value_name = "FOLDER")]
+    pictures: Option<PathBuf>,
 }
 
 fn main() -> Result<()> {
@@ -66,6 +70,10 @@ fn main() -> Result<()> {
             let Arguments { quick, peers, only, .. } = arguments;
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
-        other => bail!("unknown suite '{other}', expected anyhit, aomask, prefilter or stability"),
+        "volumetric" => {
+            let Arguments { quick, only, pictures, .. } = arguments;
+            volumetric::run(&volumetric::Options { quick, only, pictures }, &mut output)
+        }
+        other => bail!("unknown suite '{other}', expected anyhit, aomask, prefilter, stability or volumetric"),
     }
 }

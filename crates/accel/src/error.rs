@@ -57,6 +57,9 @@ pub enum BuildError {
         /// Index of the placement, from 0.
         instance: usize,
     },
+    /// A progress callback stopped the build.
+    #[error(transparent)]
+    Cancelled(#[from] umbrage_geom::Cancelled),
     /// The back end needs instructions that this processor lacks.
     #[error("this processor has no support for the back end {0:?}")]
     BackEnd(crate::BackEnd),

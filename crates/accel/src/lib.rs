@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod brute;
+pub mod kdtree;
 
 mod binary;
 mod bvh;
@@ -20,6 +21,7 @@ pub use binary::{BinaryNode, BinaryTree};
 pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
+pub use kdtree::KdTree;
 pub use kernel::BackEnd;
 pub use options::{BuildOptions, BuildQuality};
 pub use statistics::{Counters, Statistics};

@@ -4,7 +4,7 @@ use crate::{
     Bvh,
     node::{LEAF, Node, WIDTH},
 };
-use umbrage_geom::kernel::TriangleBlock;
+use umbrage_geom::{Aabb, kernel::TriangleBlock};
 
 /// Nodes and leaves of a [`Bvh`]. Node 0 is the root; children come after their parents.
 #[derive(Clone, Copy, Debug)]
@@ -19,7 +19,7 @@ pub struct View<'a> {
 pub struct NodeView<'a>(&'a Node);
 
 /// What a slot of a node holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Child {
     /// The index of a node.
     Node(u32),
@@ -31,6 +31,27 @@ impl Bvh {
     /// The hierarchy's nodes and leaves.
     pub fn view(&self) -> View<'_> {
         View { nodes: &self.tree.nodes, blocks: &self.blocks, prims: &self.prims }
+    }
+}
+
+impl Bvh {
+    /// Children of node `node` with their boxes, larger boxes first.
+    ///
+    /// # Panics
+    /// If there is no such node.
+    pub fn children(&self, node: u32) -> impl Iterator<Item = (Aabb, Child)> + '_ {
+        let node = self.view().node(node);
+        let rows = node.bounds();
+        (0..node.len()).map(move |slot| {
+            let at = |row: usize| rows[row][slot];
+            let aabb = Aabb { min: [at(0), at(2), at(4)].into(), max: [at(1), at(3), at(5)].into() };
+            (aabb, node.child(slot))
+        })
+    }
+
+    /// The triangles of each leaf.
+    pub fn leaf_blocks(&self) -> &[TriangleBlock] {
+        &self.blocks
     }
 }
 

@@ -156,6 +156,26 @@ impl SlabRay {
         (t * self.scale[0] * self.scale[1] * (1.0 + 2f32.powi(-21))).max(f32::MIN_POSITIVE)
     }
 
+    /// Brings rays to one scale of `t`, the largest among them, so that their numbers can be compared; exact.
+    ///
+    /// Nothing changes and the result is `false` if the lengths of directions are too far apart (a factor of 16 or more) or
+    /// extreme.
+    pub fn share_scale(rays: &mut [Self]) -> bool {
+        let largest = rays.iter().fold(0f32, |m, ray| m.max(ray.scale[0]));
+        if rays.iter().any(|ray| ray.scale[1] != 1.0 || ray.scale[0] < largest / 16.0) {
+            return false;
+        }
+        for ray in rays {
+            let factor = largest / ray.scale[0];
+            ray.inv_near *= factor;
+            ray.inv_far *= factor;
+            ray.tnear = (ray.tnear * factor).min(f32::MAX);
+            ray.tfar *= factor;
+            ray.scale[0] = largest;
+        }
+        true
+    }
+
     /// Scaled `t` where the segment up to `tfar` (scaled) enters `aabb`, at least `self.tnear` and never too large;
     /// `None` if it surely stays outside.
     #[inline]
@@ -170,6 +190,29 @@ impl SlabRay {
             t1 = t1.min((far - self.origin_far[axis]) * self.inv_far[axis]);
         }
         (t0 <= t1).then_some(t0)
+    }
+
+    /// Whether the open segment surely has a point strictly inside `aabb`: never true without one, false for some that have
+    /// one by a few units in the last place.
+    ///
+    /// The bounds of [`Self::entry`] the other way round: near planes with the reciprocal that is too large, far planes with
+    /// the one that is too small. A ray in the plane of a face gives NaN, which is no crossing.
+    #[inline]
+    pub fn surely_crosses(&self, aabb: &Aabb) -> bool {
+        // What scaling rounded off the ends, and what it flushed to 0.
+        let mut entries = [0.0; 3];
+        let mut exits = [0.0; 3];
+        for axis in 0..3 {
+            let forward = self.inv_near[axis] >= 0.0;
+            let (near, far) =
+                if forward { (aabb.min[axis], aabb.max[axis]) } else { (aabb.max[axis], aabb.min[axis]) };
+            entries[axis] = (near - self.origin_near[axis]) * self.inv_far[axis];
+            exits[axis] = (far - self.origin_far[axis]) * self.inv_near[axis];
+        }
+        let t0 = (self.tnear * (1.0 + 2f32.powi(-19))).max(2f32.powi(-100));
+        let t1 = self.tfar * (1.0 - 2f32.powi(-19));
+        let before = |t: f32| entries[0] < t && entries[1] < t && entries[2] < t;
+        t0 < t1 && before(t1) && exits.iter().all(|&exit| t0 < exit && before(exit))
     }
 }
 
@@ -245,6 +288,56 @@ mod tests {
         }
     }
 
+    /// Whether the open segment has a point in the open box, in exact rational arithmetic.
+    fn crosses_exactly(ray: &Ray, aabb: &Aabb) -> bool {
+        use num_rational::BigRational as Q;
+        let q = |x: f32| Q::from_float(x).unwrap();
+        let mut t0 = q(ray.tnear);
+        let mut t1 = (ray.tfar < f32::INFINITY).then(|| q(ray.tfar));
+        for axis in 0..3 {
+            let (o, d) = (q(ray.origin[axis]), q(ray.direction[axis]));
+            let (lo, hi) = (q(aabb.min[axis]), q(aabb.max[axis]));
+            if d == q(0.0) {
+                if o <= lo || o >= hi {
+                    return false;
+                }
+                continue;
+            }
+            let (a, b) = ((lo - &o) / &d, (hi - &o) / &d);
+            let (near, far) = if a < b { (a, b) } else { (b, a) };
+            t0 = t0.max(near);
+            t1 = Some(t1.map_or(far.clone(), |t| t.min(far)));
+        }
+        t1.is_none_or(|t1| t0 < t1)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(6000))]
+        #[test]
+        fn a_sure_crossing_is_one(
+            o in [nasty(), nasty(), nasty()], d in [nasty(), nasty(), nasty()],
+            a in [nasty(), nasty(), nasty()], b in [nasty(), nasty(), nasty()],
+            tnear in prop_oneof![Just(0f32), 0f32..2.0, Just(1e-40f32)],
+            length in prop_oneof![Just(f32::INFINITY), 0f32..4.0, Just(1e-42f32), Just(1e30f32)],
+            scale in prop::sample::select(vec![1f32, 1e-38, 1e-44, 1e30, 1e18]),
+        ) {
+            let ray = Ray { origin: o.into(), direction: Vec3::from(d) * scale, tnear, tfar: tnear + length };
+            let aabb = Aabb::EMPTY.with_point(a).with_point(b);
+            prop_assume!(ray.is_valid());
+            let slab = SlabRay::new(&ray).unwrap();
+            prop_assert!(!slab.surely_crosses(&aabb) || crosses_exactly(&ray, &aabb));
+            // Sure crossings are most crossings: those by more than rounding are found.
+            let size = aabb.max - aabb.min;
+            let core = Aabb { min: aabb.min + size * 0.01, max: aabb.max - size * 0.01 };
+            let sane = size.min_element() > 1e-3 && scale == 1.0 && Vec3::from(d).abs().max_element() > 1e-3
+                && Vec3::from(o).abs().max_element() < 1e3 && length > 1e-3;
+            let shorter = Ray { tnear: tnear + 1e-5, tfar: ray.tfar * 0.999_99, ..ray };
+            if sane && shorter.is_valid() && crosses_exactly(&shorter, &core) {
+                prop_assert!(slab.surely_crosses(&aabb));
+            }
+        }
+    }
+
     #[test]
     fn far_away_and_empty_boxes_are_missed() {
         let unit = Aabb::from_points(&[[0.0; 3], [1.0; 3]]);
@@ -254,6 +347,23 @@ mod tests {
         assert!(!Aabb::EMPTY.may_hit(&Ray::new([0.0; 3], [1.0, 1.0, 1.0])));
         assert!(!unit.may_hit(&Ray::new([f32::NAN; 3], [1.0, 1.0, 1.0])));
         assert!(!unit.may_hit(&Ray::new([-1.0, 2.0, 0.5], [1.0, 0.0, 0.0])));
+    }
+
+    #[test]
+    fn a_shared_scale_keeps_answers() {
+        let unit = Aabb::from_points(&[[0.0; 3], [1.0; 3]]);
+        let ray =
+            |length: f32| Ray::new([-1.0, 0.5, 0.25], [length, 0.1 * length, 0.0]).with_tfar(3.0 / length);
+        let mut slabs = [1.0, 3.0, 7.0, 0.9].map(|length| SlabRay::new(&ray(length)).unwrap());
+        assert!(SlabRay::share_scale(&mut slabs));
+        assert!(slabs.iter().all(|s| s.scale == slabs[2].scale && s.surely_crosses(&unit)));
+        // One `t` for all: entries in units of the longest direction's power of two.
+        let entries = slabs.map(|s| s.entry(&unit, s.tfar).unwrap() / s.scale[0]);
+        for (entry, length) in entries.into_iter().zip([1.0f32, 3.0, 7.0, 0.9]) {
+            assert!((entry * length - 1.0).abs() < 1e-5);
+        }
+        let mut apart = [1.0, 30.0].map(|length| SlabRay::new(&ray(length)).unwrap());
+        assert!(!SlabRay::share_scale(&mut apart));
     }
 
     #[test]

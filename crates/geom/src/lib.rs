@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod aabb;
+pub mod audit;
 pub mod crossing;
 pub mod differential;
 pub mod falloff;
@@ -30,4 +31,4 @@ pub use opacity::OpticalDepth;
 pub use polygon::PolygonMesh;
 pub use progress::{Cancelled, Progress};
 pub use ray::Ray;
-pub use triangle::{TriangleHit, intersect_triangle, is_degenerate, segment_hits_triangle};
+pub use triangle::{TriangleHit, intersect_triangle, is_degenerate, plane_side, segment_hits_triangle};

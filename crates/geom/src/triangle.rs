@@ -29,7 +29,7 @@ use crate::{
     Ray,
     exact::{Accumulator, exact_difference, small_det_sign},
 };
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 /// Where a segment meets a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,7 +50,7 @@ pub struct TriangleHit {
 /// most 3 roundings of its factors, 3 multiplications or subtractions inside, 3 additions outside, so each product
 /// carries at most `(1 + u)^9`: in all `6 * 9 u (1 + tiny)` of the product of the three largest components. 2^-47 is 64 u.
 /// Nothing under- or overflows: products of four `f32` lie between `2^-596` and `2^512`.
-const DET_ERROR: f64 = 1.0 / (1u64 << 47) as f64;
+pub(crate) const DET_ERROR: f64 = 1.0 / (1u64 << 47) as f64;
 
 /// The filter's determinants and bounds.
 pub(crate) struct Filter {
@@ -96,7 +96,14 @@ pub(crate) fn certain_sign(x: f64, error: f64) -> Option<i32> {
 }
 
 /// Adds `det(x, y, z)`, times `factor` if there is one.
-fn add_det(sum: &mut Accumulator, x: [f32; 3], y: [f32; 3], z: [f32; 3], factor: Option<f32>, negate: bool) {
+pub(crate) fn add_det(
+    sum: &mut Accumulator,
+    x: [f32; 3],
+    y: [f32; 3],
+    z: [f32; 3],
+    factor: Option<f32>,
+    negate: bool,
+) {
     for (i, j, k, odd) in [
         (0, 1, 2, false),
         (1, 2, 0, false),
@@ -276,6 +283,17 @@ fn exact_t(ray: &Ray, corners: [[f32; 3]; 3]) -> f64 {
     // Two steps, so that neither factor leaves the range of f64.
     let exponent = ve - de;
     vm / dm * 2f64.powi(exponent / 2) * 2f64.powi(exponent - exponent / 2)
+}
+
+/// Sign of `det(a - p, b - p, c - p)`: 1 if `point` is behind the triangle's plane (`T < 0` in the [module](self)'s terms), -1
+/// in front, 0 on it or if the triangle is degenerate; exact for finite coordinates.
+pub fn plane_side(point: Vec3, corners: [[f32; 3]; 3]) -> i32 {
+    let [a, b, c] = corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()) - point.as_dvec3());
+    let size = |v: DVec3| v.abs().max_element();
+    let error = DET_ERROR * size(a) * size(b) * size(c);
+    // `exact_beyond` at 0 looks at nothing but the origin and gives the sign of `T`.
+    certain_sign(a.dot(b.cross(c)), error)
+        .unwrap_or_else(|| -exact_beyond(&Ray::new(point, Vec3::X), corners, 0.0))
 }
 
 /// Whether a triangle of finite corners has exactly no area, so that no ray can hit it.

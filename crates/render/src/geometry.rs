@@ -37,7 +37,7 @@ pub struct PrefilteredParts {
 }
 
 enum Structure {
-    Flat(Bvh),
+    Flat(Arc<Bvh>),
     Instanced(InstancedBvh),
 }
 
@@ -113,7 +113,7 @@ impl Geometry {
             structure = Structure::Instanced(build_top(bvhs.collect::<Result<_, _>>()?, &placed)?);
         } else {
             (parts, placed) = flat_part(scene);
-            structure = Structure::Flat(build(&parts[0], "scene")?);
+            structure = Structure::Flat(Arc::new(build(&parts[0], "scene")?));
         }
         let bounds = match &structure {
             Structure::Flat(bvh) => bvh.bounds(),
@@ -141,6 +141,14 @@ impl Geometry {
             Structure::Instanced(bvh) => bvh.bytes(),
         };
         (structure, self.parts.iter().map(|p| p.mesh.bytes() + 4 * p.object_of.len()).sum())
+    }
+
+    /// The hierarchy and mesh of a scene that is one flat mesh of opaque triangles; `None` for others.
+    pub(crate) fn flat_opaque(&self) -> Option<(&Arc<Bvh>, &TriangleMesh)> {
+        match &self.structure {
+            Structure::Flat(bvh) if self.opaque => Some((bvh, &self.parts[0].mesh)),
+            _ => None,
+        }
     }
 
     /// Whether instances are kept apart.

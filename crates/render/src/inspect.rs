@@ -8,7 +8,11 @@ mod text;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::Range;
-use umbrage_geom::{Aabb, TriangleMesh, is_degenerate};
+use umbrage_geom::{
+    Aabb, TriangleMesh,
+    audit::{self, Audit, Edges},
+    is_degenerate,
+};
 use umbrage_scene::{Light, Scene};
 
 /// Most examples that a report lists.
@@ -50,6 +54,65 @@ pub struct EdgeReport {
     pub inconsistent: u64,
 }
 
+impl From<&Edges> for EdgeReport {
+    fn from(edges: &Edges) -> Self {
+        Self {
+            edges: edges.edges,
+            boundary: edges.boundary.count,
+            non_manifold: edges.non_manifold.count,
+            inconsistent: edges.inconsistent.count,
+        }
+    }
+}
+
+/// Whether an object is the boundary of a solid, see [`umbrage_geom::audit`]; examples are the first few.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SolidReport {
+    /// Whether it is closed, consistent and doesn't cut itself ([Djeu11], section 3.1).
+    pub well_behaved: bool,
+    /// Whether its triangles, some turned, are a closed surface: then it can generate occluders.
+    pub encloses: bool,
+    /// Sets of triangles connected through edges of two triangles.
+    pub components: u32,
+    /// Of these, how many face inwards.
+    pub inwards: u32,
+    /// Of these, how many have only one side, like a Moebius strip.
+    pub one_sided: u32,
+    /// Pairs of triangles that meet elsewhere than in a common corner or edge.
+    pub self_intersections: u64,
+    /// Such pairs.
+    pub intersection_examples: Vec<[u32; 2]>,
+    /// Vertices of edges of one triangle.
+    pub boundary_examples: Vec<[u32; 2]>,
+    /// Vertices of edges of more than two triangles.
+    pub non_manifold_examples: Vec<[u32; 2]>,
+    /// Vertices of edges along which two triangles run in the same direction.
+    pub inconsistent_examples: Vec<[u32; 2]>,
+}
+
+impl SolidReport {
+    /// `first` is what the triangles of `audit` are counted from.
+    fn new(audit: Audit, first: u32) -> Self {
+        Self {
+            well_behaved: audit.well_behaved(),
+            encloses: audit.encloses(),
+            components: audit.orientation.components,
+            inwards: audit.orientation.inwards,
+            one_sided: audit.orientation.one_sided,
+            self_intersections: audit.self_intersections.count,
+            intersection_examples: audit
+                .self_intersections
+                .examples
+                .iter()
+                .map(|[a, b]| [a + first, b + first])
+                .collect(),
+            boundary_examples: audit.edges.boundary.examples,
+            non_manifold_examples: audit.edges.non_manifold.examples,
+            inconsistent_examples: audit.edges.inconsistent.examples,
+        }
+    }
+}
+
 impl EdgeReport {
     /// Whether every edge has two triangles that agree on what is outside. (Triangles may still cut through each other.)
     pub fn closed(&self) -> bool {
@@ -74,6 +137,8 @@ pub struct ObjectReport {
     pub edges: EdgeReport,
     /// Whether it is closed, see [`EdgeReport::closed`].
     pub closed: bool,
+    /// Whether it bounds a solid.
+    pub solid: SolidReport,
 }
 
 /// What is in a mesh. As JSON: the names of the fields.
@@ -184,20 +249,26 @@ pub struct SceneReport {
 /// If a triangle names a vertex that does not exist, or an object triangles that don't.
 pub fn inspect_mesh(mesh: &TriangleMesh) -> MeshReport {
     let degenerate = mesh.degenerate_triangles();
-    let welded = weld(&mesh.positions);
+    let welded = audit::weld(&mesh.positions);
     let (duplicate_triangles, duplicate_examples) = duplicate_triangles(mesh, &welded);
     let mut used = vec![false; mesh.positions.len()];
     mesh.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
     let count = |flags: &mut dyn Iterator<Item = bool>| flags.filter(|f| *f).count() as u64;
     let duplicate = |(i, &first): (usize, &u32)| first as usize != i;
     let (shortest_edge, longest_edge) = edge_lengths(mesh).map_or((None, None), |(a, b)| (Some(a), Some(b)));
-    let whole = 0..mesh.triangles.len() as u32;
-    let edges = edge_report(mesh, &welded, whole.clone());
+    let slice = |range: &Range<u32>| &mesh.triangles[range.start as usize..range.end as usize];
+    let edges = EdgeReport::from(&audit::edges(&mesh.triangles, &welded));
     let objects = mesh.objects_or_whole().into_iter().map(|object| {
         let range = object.triangles;
-        let edges = if range == whole { edges } else { edge_report(mesh, &welded, range.clone()) };
+        let own = slice(&range);
+        let audit = Audit {
+            edges: audit::edges(own, &welded),
+            orientation: audit::orient(&mesh.positions, own, &welded),
+            self_intersections: audit::self_intersections(&mesh.positions, own, &welded),
+        };
+        let edges = EdgeReport::from(&audit.edges);
         let below = |end: u32| degenerate.partition_point(|&t| t < end) as u64;
-        let corners = mesh.triangles[range.start as usize..range.end as usize].iter().flatten();
+        let corners = own.iter().flatten();
         let bounds = corners.fold(Aabb::EMPTY, |b, &v| b.with_point(mesh.positions[v as usize]));
         ObjectReport {
             name: object.name,
@@ -207,6 +278,7 @@ pub fn inspect_mesh(mesh: &TriangleMesh) -> MeshReport {
             degenerate_triangles: below(range.end) - below(range.start),
             edges,
             closed: edges.closed(),
+            solid: SolidReport::new(audit, range.start),
         }
     });
     MeshReport {
@@ -290,26 +362,6 @@ fn light_report(scene: &Scene) -> LightReport {
     lights
 }
 
-/// For each vertex the first one at the same position.
-fn weld(positions: &[[f32; 3]]) -> Vec<u32> {
-    // Adding 0 makes -0 equal to 0.
-    let key = |v: u32| positions[v as usize].map(|x| (x + 0.0).to_bits());
-    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
-    order.par_sort_unstable_by_key(|&v| (key(v), v));
-    let mut first = vec![0; positions.len()];
-    let mut current = None;
-    for v in order {
-        let key = key(v);
-        let leader = match current {
-            Some((k, leader)) if k == key => leader,
-            _ => v,
-        };
-        current = Some((key, leader));
-        first[v as usize] = leader;
-    }
-    first
-}
-
 /// How many triangles repeat an earlier one, and examples of (earliest, repeating).
 fn duplicate_triangles(mesh: &TriangleMesh, welded: &[u32]) -> (u64, Vec<[u32; 2]>) {
     let key = |t: u32| {
@@ -328,29 +380,6 @@ fn duplicate_triangles(mesh: &TriangleMesh, welded: &[u32]) -> (u64, Vec<[u32; 2
     repeating.sort_unstable_by_key(|pair| pair[1]);
     repeating.truncate(EXAMPLES);
     (count, repeating)
-}
-
-fn edge_report(mesh: &TriangleMesh, welded: &[u32], triangles: Range<u32>) -> EdgeReport {
-    let triangles = &mesh.triangles[triangles.start as usize..triangles.end as usize];
-    let mut edges = Vec::with_capacity(triangles.len() * 3);
-    for triangle in triangles {
-        let [a, b, c] = triangle.map(|v| welded[v as usize]);
-        if a != b && b != c && c != a {
-            edges.extend([(a, b), (b, c), (c, a)]);
-        }
-    }
-    let undirected = |&(from, to): &(u32, u32)| (from.min(to), from.max(to));
-    edges.par_sort_unstable_by_key(undirected);
-    let mut report = EdgeReport::default();
-    for edge in edges.chunk_by(|a, b| undirected(a) == undirected(b)) {
-        report.edges += 1;
-        match edge {
-            [_] => report.boundary += 1,
-            [a, b] => report.inconsistent += u64::from(a == b),
-            _ => report.non_manifold += 1,
-        }
-    }
-    report
 }
 
 /// Shortest and longest edge of triangles with area.
@@ -435,6 +464,22 @@ mod tests {
     }
 
     #[test]
+    fn self_intersections_are_named_by_triangles_of_the_mesh() {
+        let mut mesh = cube();
+        let mut other = cube();
+        other.positions.iter_mut().flatten().for_each(|x| *x += 0.5);
+        mesh.append(&other);
+        let part = |name: &str, triangles| MeshObject { name: name.into(), triangles, opacity: 1.0 };
+        mesh.objects = vec![part("one", 0..12), part("two", 12..24)];
+        assert!(inspect_mesh(&mesh).objects.iter().all(|o| o.solid.well_behaved));
+        mesh.objects = vec![part("none", 0..0), part("both", 0..24)];
+        let both = &inspect_mesh(&mesh).objects[1].solid;
+        assert!(both.encloses && !both.well_behaved && both.self_intersections > 0);
+        assert!(both.intersection_examples.iter().all(|&[a, b]| a < 12 && (12..24).contains(&b)));
+        assert!(inspect_mesh(&mesh).to_string().contains("encloses space, but cuts itself"));
+    }
+
+    #[test]
     fn only_degenerate_triangles_have_no_edges() {
         let mesh = TriangleMesh::new(vec![[1.0; 3]], vec![[0, 0, 0]]).unwrap();
         let report = inspect_mesh(&mesh);
@@ -453,6 +498,12 @@ mod tests {
         assert_eq!(objects.iter().map(|o| o.closed).collect::<Vec<_>>(), [true, false, false]);
         assert_eq!(objects.iter().map(|o| o.degenerate_triangles).collect::<Vec<_>>(), [0, 1, 0]);
         assert_eq!(objects[2].bounds, Bounds::default());
+        let solid = |o: &ObjectReport| (o.solid.well_behaved, o.solid.encloses, o.solid.components);
+        assert_eq!(
+            objects.iter().map(solid).collect::<Vec<_>>(),
+            [(true, true, 1), (false, false, 1), (false, false, 0)]
+        );
+        assert_eq!(objects[1].solid.boundary_examples.len(), objects[1].edges.boundary.min(8) as usize);
         assert!(inspect_mesh(&mesh).to_string().contains("\n  half: 12 triangles, opacity 0.5, not closed"));
     }
 

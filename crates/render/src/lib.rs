@@ -15,6 +15,7 @@ mod integrator;
 pub mod light;
 pub mod method;
 pub mod render;
+mod volumetric;
 
 pub use error::RenderError;
 pub use integrator::{NO_DEPTH, RayCounts};

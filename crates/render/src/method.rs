@@ -3,7 +3,7 @@
 //! A method sees all rays of one receiver to one light (or all its ambient rays) at once, with each ray's share of solid
 //! angle, so that methods which trace fans, masks or cones can use them.
 
-use crate::{RenderError, geometry::Geometry};
+use crate::{RenderError, geometry::Geometry, volumetric};
 use umbrage_accel::Counters;
 use umbrage_geom::Ray;
 use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query, StopStatistics};
@@ -111,7 +111,19 @@ const SHADOW_THRESHOLD: f32 = 0.2;
 const AO_THRESHOLD: f32 = 0.3;
 
 /// Names of the shadow methods, `auto` first.
-pub const SHADOW_METHODS: &[&str] = &["auto", "bvh", PREFILTER];
+pub const SHADOW_METHODS: &[&str] = &[
+    "auto",
+    "bvh",
+    PREFILTER,
+    "kd",
+    "kd-volumetric",
+    "kd-volumetric:ray",
+    "kd-volumetric:extended",
+    "kd-volumetric:bfs",
+    "kd-volumetric:qdbfs",
+    "kd-volumetric:solid",
+    "bvh-volumetric",
+];
 /// Names of the ambient occlusion methods, `auto` first.
 pub const AO_METHODS: &[&str] = &["auto", "rays", PREFILTER];
 
@@ -143,7 +155,10 @@ pub struct Choice<'a> {
 /// # Errors
 /// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`].
 pub fn shadow_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a>, RenderError> {
-    choose(name, "shadow", SHADOW_METHODS, geometry)
+    match volumetric::method(name, geometry) {
+        Some(method) => Ok(Choice { method, reason: "asked for" }),
+        None => choose(name, "shadow", SHADOW_METHODS, geometry),
+    }
 }
 
 /// The ambient occlusion method called `name`.
@@ -172,4 +187,14 @@ fn choose<'a>(
         _ => return Err(RenderError::Method { name: name.into(), purpose, known }),
     };
     Ok(Choice { method: Box::new(SingleRays { geometry, name: exact }), reason })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_volumetric_method_is_listed() {
+        assert_eq!(&SHADOW_METHODS[2..], volumetric::NAMES);
+    }
 }

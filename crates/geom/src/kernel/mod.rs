@@ -88,6 +88,29 @@ impl TriangleBlock {
         Some(this)
     }
 
+    /// Adds a triangle, its vertices shared with those of the same bits before it; false if there is no room, which
+    /// changes nothing. `vertices`, of which it says how many are used so far, starts at 0.
+    pub fn push(&mut self, triangle: [[f32; 3]; 3], vertices: &mut usize) -> bool {
+        let lane = self.len();
+        if lane == LANES {
+            return false;
+        }
+        let (before, used) = (*self, *vertices);
+        for (corner, vertex) in triangle.into_iter().enumerate() {
+            let same = |&i: &usize| (0..3).all(|axis| self.vertices[axis][i].to_bits() == vertex[axis].to_bits());
+            let place = (0..*vertices).find(same).unwrap_or(*vertices);
+            if place == LANES {
+                (*self, *vertices) = (before, used);
+                return false;
+            }
+            *vertices = (*vertices).max(place + 1);
+            (0..3).for_each(|axis| self.vertices[axis][place] = vertex[axis]);
+            self.corners[corner][lane] = place as u8;
+        }
+        self.len += 1;
+        true
+    }
+
     /// Gives the first vertices other places.
     ///
     /// # Panics
@@ -214,7 +237,8 @@ impl BlockRay {
         let (origin, direction) = (ray.origin.to_array(), ray.direction.to_array());
         Some(Self {
             axes,
-            origin: axes.map(|axis| origin[axis]),
+            // Not by `map`, which is not inlined into functions with target features.
+            origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             slopes: [direction[axes[0]] / length, direction[axes[1]] / length],
             sign: 1f32.copysign(direction[z]),
             length,

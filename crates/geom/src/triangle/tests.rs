@@ -153,3 +153,18 @@ fn edges_and_ends_follow_the_definition() {
     assert!(!segment_hits_triangle(&up(0.5, 0.0), [corners[0], corners[1], corners[1]]));
     assert!(!segment_hits_triangle(&up(0.5, 0.5), [[f32::NAN; 3], corners[1], corners[2]]));
 }
+
+#[test]
+fn sides_of_planes_are_exact() {
+    let triangle = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]];
+    // In front: the corners run counter-clockwise.
+    assert_eq!(plane_side(Vec3::new(0.2, 0.2, 2.0), triangle), -1);
+    assert_eq!(plane_side(Vec3::new(9.0, -7.0, 1.0f32.next_down()), triangle), 1);
+    assert_eq!(plane_side(Vec3::new(9.0, -7.0, 1.0), triangle), 0);
+    let oblique = [[0.1, 0.2, 0.3], [1.7, 0.9, 0.4], [0.3, 1.1, 2.9]];
+    for corner in oblique {
+        assert_eq!(plane_side(corner.into(), oblique), 0);
+        let side = |x: f32| plane_side(Vec3::new(x, corner[1], corner[2]), oblique);
+        assert_eq!((side(corner[0].next_up()), side(corner[0].next_down())), (-1, 1));
+    }
+}

@@ -1,6 +1,6 @@
 //! Reports as text.
 
-use super::{Bounds, EdgeReport, LightReport, MeshReport, SceneReport};
+use super::{Bounds, EdgeReport, LightReport, MeshReport, SceneReport, SolidReport};
 use std::fmt;
 
 /// Instances that the text lists.
@@ -42,6 +42,36 @@ impl fmt::Display for EdgeReport {
     }
 }
 
+impl fmt::Display for SolidReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match (self.well_behaved, self.encloses) {
+            (true, _) => "well behaved",
+            (_, true) if self.self_intersections > 0 => "encloses space, but cuts itself",
+            (_, true) => "encloses space once some triangles are turned",
+            _ => "encloses nothing",
+        })?;
+        write!(f, ", {} components", self.components)?;
+        for (count, what) in [(self.inwards, "inside out"), (self.one_sided, "with one side")] {
+            if count > 0 {
+                write!(f, ", {count} {what}")?;
+            }
+        }
+        let pair = |[a, b]: [u32; 2]| format!("{a}-{b}");
+        for (what, examples) in [
+            ("edges at a boundary", &self.boundary_examples),
+            ("edges of more than two triangles", &self.non_manifold_examples),
+            ("edges with opposite orientations", &self.inconsistent_examples),
+            ("triangles that meet", &self.intersection_examples),
+        ] {
+            if !examples.is_empty() {
+                write!(f, "; {what}")?;
+                write_examples(f, examples, examples.len() as u64, pair)?;
+            }
+        }
+        Ok(())
+    }
+}
+
 impl fmt::Display for MeshReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let attributes = match (self.normals, self.uvs) {
@@ -66,6 +96,9 @@ impl fmt::Display for MeshReport {
         })?;
         write!(f, ", {} vertices", self.duplicate_vertices)?;
         write!(f, "\nunused      {} vertices", self.unused_vertices)?;
+        if let [object] = &self.objects[..] {
+            write!(f, "\nsolid       {}", object.solid)?;
+        }
         if self.objects.len() > 1 || self.objects.iter().any(|o| !o.name.is_empty() || o.opacity != 1.0) {
             write!(f, "\nobjects     {}", self.objects.len())?;
             for object in &self.objects {
@@ -74,6 +107,9 @@ impl fmt::Display for MeshReport {
                 write!(f, "{}, {}", object.edges, object.bounds)?;
                 if object.degenerate_triangles > 0 {
                     write!(f, ", {} degenerate", object.degenerate_triangles)?;
+                }
+                if self.objects.len() > 1 {
+                    write!(f, "; {}", object.solid)?;
                 }
             }
         }

@@ -1,0 +1,256 @@
+//! Ways to answer the shadow rays of a scene.
+
+use super::scene::{Scene, Shadows};
+use crate::rows::Timed;
+use anyhow::Result;
+use serde_json::{Value, json};
+use std::{sync::Arc, time::Instant};
+use umbrage_accel::{BuildOptions, Bvh, KdTree, kdtree::Order};
+use umbrage_occlusion::volumetric::{
+    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, SolidBvh, SolidBvhOptions,
+    SolidCounters, Solids, Statistics,
+};
+
+/// Orders under their names.
+pub const ORDERS: [(&str, Order); 5] = [
+    ("extended", Order::EXTENDED),
+    ("extended-8", Order::EXTENDED_SPARSE),
+    ("bfs", Order::BREADTH),
+    ("qdbfs", Order::QUICK),
+    ("solid", Order::SOLID),
+];
+
+/// The structures of a scene, with the times that they took, seconds.
+pub struct Structures {
+    pub bvh: Arc<Bvh>,
+    pub bvh_s: f64,
+    pub solid: SolidBvh,
+    pub solid_s: f64,
+    pub kd: KdVolumetric,
+    /// Of the tree alone.
+    pub kd_s: f64,
+    /// To find generators: the audit.
+    pub audit_s: f64,
+    /// To classify cells.
+    pub classify_s: f64,
+    /// To classify each cell by its own test ray.
+    pub test_rays_s: f64,
+}
+
+/// A result and the seconds that it took.
+fn timed<T>(make: impl FnOnce() -> T) -> (T, f64) {
+    let start = Instant::now();
+    let made = make();
+    (made, start.elapsed().as_secs_f64())
+}
+
+impl Structures {
+    pub fn build(scene: &Scene) -> Result<Self> {
+        let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
+        let (bvh, bvh_s) = timed(|| Bvh::build(positions, triangles, &BuildOptions::default()));
+        let bvh = Arc::new(bvh?);
+        let (solid, solid_s) = timed(|| {
+            SolidBvh::build(bvh.clone(), positions, triangles, &scene.objects, &SolidBvhOptions::default())
+        });
+        let options = KdVolumetricOptions::default();
+        let (solids, audit_s) = timed(|| Solids::find(positions, triangles, &scene.objects, &options.solids));
+        let (tree, kd_s) = timed(|| {
+            KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, &mut |_| true)
+        });
+        let tree = tree?;
+        let (other, again) = (tree.clone(), solids.clone());
+        let (_, test_rays_s) = timed(|| KdVolumetric::new(other, again, Classifier::TestRays));
+        let (kd, classify_s) = timed(|| KdVolumetric::new(tree, solids, Classifier::Flood));
+        Ok(Self { bvh, bvh_s, solid, solid_s, kd, kd_s, audit_s, classify_s, test_rays_s })
+    }
+}
+
+/// How a caster calls.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Call {
+    Single,
+    /// Four rays in the kd-tree, sixteen in the hierarchy, the fan of a receiver and a light among solid boxes.
+    Together,
+}
+
+/// What a caster is.
+#[derive(Clone, Copy)]
+pub enum Kind<'a> {
+    Bvh(&'a Bvh),
+    /// With boxes remembered by light or not.
+    Solid(&'a SolidBvh, bool),
+    /// Order, whether occluders are used, whether they are cached.
+    Kd(&'a KdVolumetric, Order, bool, bool),
+}
+
+/// A way to answer all rays.
+pub struct Caster<'a> {
+    pub method: String,
+    pub call: Call,
+    pub kind: Kind<'a>,
+    pub build_s: f64,
+    pub bytes: usize,
+}
+
+/// All casters of a scene: `bvh`, `kd` and their relatives.
+pub fn casters(s: &Structures) -> Vec<Caster<'_>> {
+    let pre_s = s.kd_s + s.audit_s + s.classify_s;
+    let mut casters = Vec::new();
+    let mut add = |method: &str, call, kind, build_s, bytes| {
+        casters.push(Caster { method: method.into(), call, kind, build_s, bytes });
+    };
+    for call in [Call::Single, Call::Together] {
+        add("bvh", call, Kind::Bvh(&s.bvh), s.bvh_s, s.bvh.bytes());
+    }
+    for (name, call, remembered) in [
+        ("bvh-volumetric", Call::Single, false),
+        ("bvh-volumetric+cache", Call::Single, true),
+        ("bvh-volumetric", Call::Together, false),
+        ("bvh-volumetric+cache", Call::Together, true),
+    ] {
+        let bytes = s.bvh.bytes() + s.solid.bytes();
+        add(name, call, Kind::Solid(&s.solid, remembered), s.bvh_s + s.solid_s, bytes);
+    }
+    for call in [Call::Single, Call::Together] {
+        add("kd", call, Kind::Kd(&s.kd, Order::RAY, false, false), s.kd_s, s.kd.tree().bytes());
+    }
+    for (name, order) in ORDERS {
+        for cached in [false, true] {
+            let method = format!("kd-volumetric:{name}{}", if cached { "+cache" } else { "" });
+            add(&method, Call::Single, Kind::Kd(&s.kd, order, true, cached), pre_s, s.kd.bytes());
+            if cached && ["qdbfs", "solid"].contains(&name) {
+                add(&method, Call::Together, Kind::Kd(&s.kd, order, true, cached), pre_s, s.kd.bytes());
+            }
+        }
+    }
+    casters
+}
+
+impl Caster<'_> {
+    /// Answers every ray.
+    fn run(&self, scene: &Scene, shadows: &Shadows, hits: &mut [bool]) {
+        match self.kind {
+            Kind::Bvh(bvh) => match self.call {
+                Call::Single => {
+                    shadows.rays.iter().zip(hits).for_each(|(ray, hit)| *hit = bvh.any_hit(ray));
+                }
+                Call::Together => bvh.any_hits_with(&shadows.rays, hits, &mut ()),
+            },
+            Kind::Solid(solid, remembered) => {
+                let mut scratch = solid.scratch();
+                let ends = ends(scene, |region| solid.is_outside(region));
+                for fan in &shadows.fans {
+                    let range = fan.start as usize..fan.end as usize;
+                    let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
+                    let light = remembered.then_some(fan.light as usize);
+                    let ends = ends[fan.light as usize];
+                    match self.call {
+                        Call::Single => rays
+                            .iter()
+                            .zip(hits)
+                            .for_each(|(ray, hit)| *hit = solid.any_hit(ray, ends, light, &mut scratch)),
+                        Call::Together => solid.any_hits(rays, hits, ends, light, &mut scratch),
+                    }
+                }
+            }
+            Kind::Kd(..) => self.run_kd(scene, shadows, hits, &mut ()),
+        }
+    }
+
+    fn run_kd(&self, scene: &Scene, shadows: &Shadows, hits: &mut [bool], stats: &mut impl Statistics) {
+        let Kind::Kd(kd, order, occluders, cached) = self.kind else { return };
+        let mut scratch = Scratch::default();
+        let ends = ends(scene, |region| kd.is_outside(region));
+        for fan in &shadows.fans {
+            let range = fan.start as usize..fan.end as usize;
+            let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
+            let query = Query::default()
+                .with_order(order)
+                .with_ends(ends[fan.light as usize])
+                .with_light(cached.then_some(fan.light as usize))
+                .with_occluders(occluders);
+            match self.call {
+                Call::Single => rays
+                    .iter()
+                    .zip(hits)
+                    .for_each(|(ray, hit)| *hit = kd.any_hit_with(ray, &query, &mut scratch, stats)),
+                Call::Together => kd.any_hits_in_packets(rays, hits, &query, &mut scratch, stats),
+            }
+        }
+    }
+
+    /// Work of a pass, where it is counted.
+    pub fn counters(&self, scene: &Scene, shadows: &Shadows) -> (Counters, Value) {
+        let mut hits = vec![false; shadows.rays.len()];
+        match self.kind {
+            Kind::Bvh(bvh) => {
+                let mut counters = umbrage_accel::Counters::default();
+                for ray in &shadows.rays {
+                    bvh.any_hit_with(ray, &mut counters);
+                }
+                let value = json!({
+                    "nodes": counters.nodes, "triangle_tests": counters.triangle_tests, "box_tests": counters.box_tests,
+                });
+                (Counters::default(), value)
+            }
+            Kind::Solid(solid, remembered) => {
+                let (mut scratch, mut counters) = (solid.scratch(), SolidCounters::default());
+                for fan in &shadows.fans {
+                    let light = remembered.then_some(fan.light as usize);
+                    for ray in &shadows.rays[fan.start as usize..fan.end as usize] {
+                        solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, &mut counters);
+                    }
+                }
+                let value = json!({
+                    "nodes": counters.nodes,
+                    "leaves": counters.leaves,
+                    "occluders": solid.occluders().len(),
+                    "occluder_hits": counters.solid_hits,
+                    "cache_hits": counters.remembered_hits,
+                    "generators": solid.generator_count(),
+                });
+                (Counters::default(), value)
+            }
+            Kind::Kd(kd, ..) => {
+                let mut c = Counters::default();
+                self.run_kd(scene, shadows, &mut hits, &mut c);
+                let lanes = if self.call == Call::Single { 1.0 } else { 4.0 };
+                let value = json!({
+                    "nodes": c.kd.steps,
+                    "triangle_tests": c.kd.triangle_tests,
+                    "box_tests": c.box_tests,
+                    "occluders": kd.occluders().len(),
+                    "occurrence_rate": kd.occurrence_rate(),
+                    "occluder_hits": c.cell_hits,
+                    "triangle_hits": c.triangle_hits,
+                    "misses": c.misses,
+                    "cache_hit_rate": c.cache_hits as f64 / c.cache_lookups.max(1) as f64,
+                    "mean_occluder_area": c.cell_area / c.cell_hits.max(1) as f64,
+                    "packet_use": c.kd.active as f64 / (lanes * c.kd.steps.max(1) as f64),
+                    "packet_use_at_leaves": c.kd.active_leaves as f64 / (lanes * c.kd.leaves.max(1) as f64),
+                });
+                (c, value)
+            }
+        }
+    }
+}
+
+/// Lights are classified once.
+fn ends(scene: &Scene, is_outside: impl Fn(&umbrage_geom::Aabb) -> bool) -> Vec<Ends> {
+    let known = |outside| if outside { Ends::Outside } else { Ends::Unknown };
+    scene.lights.iter().map(|light| known(is_outside(&light.bounds()))).collect()
+}
+
+/// A caster under the clock.
+pub struct Run<'a> {
+    pub caster: &'a Caster<'a>,
+    pub scene: &'a Scene,
+    pub shadows: &'a Shadows,
+    pub hits: Vec<bool>,
+}
+
+impl Timed for Run<'_> {
+    fn run(&mut self) {
+        self.caster.run(self.scene, self.shadows, &mut self.hits);
+    }
+}

@@ -1,0 +1,161 @@
+//! Suite `volumetric`: opaque cells inside closed meshes, [Djeu11], chapters 3 and 4, and solid boxes in wide hierarchies.
+
+mod methods;
+mod pictures;
+mod scene;
+mod tables;
+
+use self::{
+    methods::{Call, Caster, Run, Structures, casters},
+    scene::{Scene, Shadows},
+    tables::Tables,
+};
+use crate::{
+    rows::{Output, Row, Timed, alternate, median, note, paired_speedup},
+    scenes,
+};
+use anyhow::Result;
+use serde_json::json;
+use std::path::PathBuf;
+use umbrage_accel::brute;
+
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Smaller meshes, fewer rays and passes.
+    pub quick: bool,
+    /// Only scenes whose name contains this.
+    pub only: Option<String>,
+    /// Where pictures go, if they are wanted.
+    pub pictures: Option<PathBuf>,
+}
+
+/// Closed meshes under area lights; the rest are generators.
+const SINGLE: [&str; 9] = [
+    "bunny_60k",
+    "armadillo_86k",
+    "dragon_871k",
+    "dragonish",
+    "knots",
+    "spot",
+    "rocker_arm",
+    "blob",
+    "fertility",
+];
+/// Of these, in the quick form.
+const QUICK: usize = 2;
+
+/// One image's rays under the clock.
+pub struct Case<'a> {
+    pub scene: &'a Scene,
+    pub shadows: &'a Shadows,
+    pub structures: &'a Structures,
+}
+
+pub fn run(options: &Options, output: &mut Output) -> Result<()> {
+    let mut tables = Tables::default();
+    let wanted = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
+    for (i, name) in SINGLE.into_iter().enumerate() {
+        let in_quick = i < QUICK || ["dragonish", "knots"].contains(&name);
+        if !wanted(name) || (options.quick && !in_quick) {
+            continue;
+        }
+        match scene::closed_mesh(name, options.quick)? {
+            Some(mesh) => measure(&scene::single(name, &mesh), options, &mut tables, output)?,
+            None => eprintln!("no folder of meshes: {name} is skipped"),
+        }
+    }
+    if let Some(folder) = scenes::mesh_folder() {
+        for (name, leaves) in [("36-meshes", 0), ("36-meshes-leaves", 200_000)] {
+            if wanted(name) && (!options.quick || leaves == 0) {
+                measure(&scene::many(name, &folder, leaves)?, options, &mut tables, output)?;
+            }
+        }
+    }
+    for lights in [1, 17] {
+        let name = format!("blob-{lights}-points");
+        if wanted(&name) {
+            let mesh = scenes::generated("blob", 8_000)?;
+            measure(&scene::single_points(&name, &mesh, lights), options, &mut tables, output)?;
+        }
+    }
+    for lights in [1, 17, 26] {
+        let name = format!("stage-{lights}-points");
+        if wanted(&name) && (!options.quick || lights == 17) {
+            let triangles = if options.quick { 100_000 } else { 450_000 };
+            measure(&scene::stage(&name, triangles, lights)?, options, &mut tables, output)?;
+        }
+    }
+    tables.print();
+    Ok(())
+}
+
+/// Rows of one scene.
+fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut Output) -> Result<()> {
+    note(&format!("preparing {}", scene.name));
+    let shadows = scene.shadows(1024, 20, if options.quick { 128 } else { 16 })?;
+    let structures = Structures::build(scene)?;
+    let case = Case { scene, shadows: &shadows, structures: &structures };
+    let casters = casters(&structures);
+    let passes = if options.quick { 3 } else { 5 };
+    let (times, answers) = case.time(&casters, passes);
+    let wrong = brute_differences(scene, &shadows, &answers[0]);
+    for (i, caster) in casters.iter().enumerate() {
+        let (counted, mut counters) = caster.counters(scene, &shadows);
+        let different = answers[i].iter().zip(&answers[0]).filter(|(a, b)| a != b).count();
+        counters["different_bits"] = json!(different + wrong);
+        let together = caster.call == Call::Together;
+        let of = |method: &str, together: bool| {
+            casters.iter().position(|c| c.method == method && (c.call == Call::Together) == together)
+        };
+        // Single rays against single rays, packets against packets; fans also against the best of the plain hierarchy.
+        let baseline = if caster.method.starts_with("kd") { "kd" } else { "bvh" };
+        let against = of(baseline, together).expect("every call has its baseline");
+        let time_s = median(&times[i]);
+        let row = Row {
+            suite: "volumetric",
+            scene: scene.name.clone(),
+            method: caster.method.clone(),
+            params: json!({ "call": if together { "together" } else { "single" }, "rays": shadows.rays.len() }),
+            time_s,
+            build_s: caster.build_s,
+            mrays_s: shadows.rays.len() as f64 / time_s * 1e-6,
+            rmse: 0.0,
+            bias: 0.0,
+            bytes: caster.bytes,
+            counters,
+            baseline,
+            speedup: paired_speedup(&times[against], &times[i]),
+        };
+        output.row(&row)?;
+        tables.add(row, counted);
+    }
+    tables.add_scene(&case, &casters, &answers[0], passes);
+    if let Some(folder) = &options.pictures {
+        pictures::write(folder, &case)?;
+    }
+    Ok(())
+}
+
+impl Case<'_> {
+    /// Times of all casters in turn, and their answers.
+    pub fn time(&self, casters: &[Caster], passes: usize) -> (Vec<Vec<f64>>, Vec<Vec<bool>>) {
+        let hits = vec![false; self.shadows.rays.len()];
+        let (scene, shadows) = (self.scene, self.shadows);
+        let mut runs: Vec<Run> =
+            casters.iter().map(|caster| Run { caster, scene, shadows, hits: hits.clone() }).collect();
+        let mut timed: Vec<&mut dyn Timed> = runs.iter_mut().map(|run| run as &mut dyn Timed).collect();
+        let times = alternate(passes, &mut timed);
+        (times, runs.into_iter().map(|run| run.hits).collect())
+    }
+}
+
+/// Wrong answers among as many rays as 20 million triangle tests allow.
+fn brute_differences(scene: &Scene, shadows: &Shadows, answers: &[bool]) -> usize {
+    let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
+    let count = (20_000_000 / triangles.len()).clamp(1, shadows.rays.len());
+    let step = shadows.rays.len() / count;
+    (0..count)
+        .filter(|i| brute::any_hit(positions, triangles, &shadows.rays[i * step]) != answers[i * step])
+        .count()
+}

@@ -1,0 +1,269 @@
+//! Scenes and shadow rays as in [Djeu11], section 3.7.2: a mesh on a ground plane under five area lights on a ring.
+
+use crate::scenes;
+use anyhow::Result;
+use std::{f32::consts::TAU, path::Path};
+use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_geom::{
+    Aabb, Ray, TriangleMesh,
+    glam::{Affine3A, Vec2, Vec3},
+    offset_origin,
+    sampling::RandomStream,
+};
+use umbrage_occlusion::volumetric::Object;
+
+/// A mesh with what casts light on it.
+pub struct Scene {
+    pub name: String,
+    pub mesh: TriangleMesh,
+    /// The parts of the mesh, each an object.
+    pub objects: Vec<Object>,
+    eye: Vec3,
+    look: Vec3,
+    pub lights: Vec<Light>,
+}
+
+/// A horizontal square; a point if its size is 0, to which one ray a receiver goes.
+#[derive(Clone, Copy)]
+pub struct Light {
+    center: Vec3,
+    size: f32,
+}
+
+impl Light {
+    pub fn bounds(&self) -> Aabb {
+        let half = Vec3::new(0.5, 0.0, 0.5) * self.size;
+        Aabb { min: self.center - half, max: self.center + half }
+    }
+}
+
+/// The rays of one receiver to one light.
+#[derive(Clone, Copy)]
+pub struct Fan {
+    pub light: u32,
+    /// Pixel of the receiver.
+    pub pixel: u32,
+    pub start: u32,
+    pub end: u32,
+}
+
+/// All shadow rays of an image.
+pub struct Shadows {
+    pub rays: Vec<Ray>,
+    pub fans: Vec<Fan>,
+    /// Width and height of the image, pixels.
+    pub side: u32,
+}
+
+/// Moves and scales so that the diagonal is `size` and the middle of the base is at `at`.
+fn place(mesh: &TriangleMesh, at: Vec3, size: f32, angle: f32) -> TriangleMesh {
+    let bounds = mesh.bounds();
+    let base = Vec3::new(bounds.center().x, bounds.min.y, bounds.center().z);
+    let map = Affine3A::from_translation(at)
+        * Affine3A::from_rotation_y(angle)
+        * Affine3A::from_scale(Vec3::splat(size / bounds.diagonal()))
+        * Affine3A::from_translation(-base);
+    let positions = mesh.positions.iter().map(|&p| map.transform_point3(p.into()).into()).collect();
+    TriangleMesh { positions, triangles: mesh.triangles.clone(), ..TriangleMesh::default() }
+}
+
+/// Joins meshes, each an object, and a ground plane of half size `extent` at height `y`.
+fn join(parts: &[TriangleMesh], extent: f32, y: f32) -> (TriangleMesh, Vec<Object>) {
+    let mut mesh = TriangleMesh::default();
+    let mut objects = Vec::new();
+    let e = extent;
+    let ground = TriangleMesh {
+        positions: vec![[-e, y, -e], [e, y, -e], [e, y, e], [-e, y, e]],
+        triangles: vec![[0, 2, 1], [0, 3, 2]],
+        ..TriangleMesh::default()
+    };
+    for part in parts.iter().chain([&ground]) {
+        let start = mesh.triangles.len() as u32;
+        mesh.append(part);
+        objects.push(Object { triangles: start..mesh.triangles.len() as u32, opaque: true });
+    }
+    mesh.objects.clear();
+    (mesh, objects)
+}
+
+/// Five square lights on a ring, low enough for long shadows.
+fn ring(extent: f32) -> Vec<Light> {
+    let light = |i: u32| {
+        let angle = 0.3 + i as f32 * TAU / 5.0;
+        let center = Vec3::new(angle.cos() * 1.1, 0.65, angle.sin() * 1.1) * extent;
+        Light { center, size: 0.25 * extent }
+    };
+    (0..5).map(light).collect()
+}
+
+/// `count` point lights spread over the sky.
+fn points(count: u32, center: Vec3, radius: f32) -> Vec<Light> {
+    let light = |i: u32| {
+        let height = 0.25 + 0.7 * (i as f32 + 0.5) / count as f32;
+        let (angle, across) = (i as f32 * 2.399_963, (1.0 - height * height).sqrt());
+        Light {
+            center: center + Vec3::new(angle.cos() * across, height, angle.sin() * across) * radius,
+            size: 0.0,
+        }
+    };
+    (0..count).map(light).collect()
+}
+
+/// The generator `stage` as it is, under point lights.
+pub fn stage(name: &str, triangles: usize, lights: u32) -> Result<Scene> {
+    let mesh = scenes::generated("stage", triangles)?;
+    let objects = mesh.objects_or_whole();
+    let objects = objects.iter().map(|o| Object { triangles: o.triangles.clone(), opaque: o.opacity == 1.0 });
+    let objects = objects.collect();
+    let bounds = mesh.bounds();
+    let size = 0.5 * bounds.diagonal();
+    // The characters, not the ground's full width.
+    let look = Vec3::new(bounds.center().x, bounds.min.y + 0.15 * size, bounds.center().z);
+    let eye = look + Vec3::new(0.35, 0.4, 1.0) * size;
+    let lights = points(lights, look, 1.5 * size);
+    Ok(Scene { name: name.into(), mesh, objects, eye, look, lights })
+}
+
+/// One object on the ground under point lights.
+pub fn single_points(name: &str, mesh: &TriangleMesh, lights: u32) -> Scene {
+    let scene = single(name, mesh);
+    Scene { lights: points(lights, Vec3::ZERO, 2.0), ..scene }
+}
+
+/// One object on the ground.
+pub fn single(name: &str, mesh: &TriangleMesh) -> Scene {
+    let placed = place(mesh, Vec3::ZERO, 1.0, 0.0);
+    let (mesh, objects) = join(&[placed], 2.0, -0.0005);
+    let (eye, look) = (Vec3::new(0.3, 0.6, 0.95), Vec3::new(0.0, 0.2, 0.0));
+    Scene { name: name.into(), mesh, objects, eye, look, lights: ring(1.0) }
+}
+
+/// 36 objects on the ground, with `leaves` small squares above them.
+pub fn many(name: &str, folder: &Path, leaves: u32) -> Result<Scene> {
+    let names = [
+        "bunny_6k",
+        "spot",
+        "cow",
+        "fertility",
+        "goathead",
+        "rocker_arm",
+        "skull_10k",
+        "bunny_60k",
+        "torus_4608",
+        "armadillo_86k",
+        "fandisk",
+        "sphere_1280",
+    ];
+    let mut random = RandomStream::new(7, 0);
+    let meshes: Vec<TriangleMesh> = names
+        .iter()
+        .map(|name| Ok(umbrage_scene::read_mesh(&folder.join("closed").join(name).with_extension("obj"))?))
+        .collect::<Result<_>>()?;
+    let mut parts = Vec::new();
+    for k in 0..36 {
+        let (x, z) = ((k % 6) as f32 - 2.5, (k / 6) as f32 - 2.5);
+        let at = Vec3::new(x * 0.9 + 0.3 * random.next_unit(), 0.0, z * 0.9 + 0.3 * random.next_unit());
+        parts.push(place(&meshes[k % 12], at, 0.5 + 0.5 * random.next_unit(), TAU * random.next_unit()));
+    }
+    if leaves > 0 {
+        let mut cloud = TriangleMesh::default();
+        for _ in 0..leaves {
+            let mut unit = || random.next_unit() - 0.5;
+            let center = Vec3::new(unit() * 6.5, 1.5 + unit(), unit() * 6.5);
+            let (u, v) = (Vec3::new(unit(), unit(), unit()) * 0.04, Vec3::new(unit(), unit(), unit()) * 0.04);
+            let first = cloud.positions.len() as u32;
+            cloud.positions.extend(
+                [center - u - v, center + u - v, center + u + v, center - u + v].map(|p| p.to_array()),
+            );
+            cloud.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        }
+        parts.push(cloud);
+    }
+    let (mesh, objects) = join(&parts, 6.0, -0.001);
+    let eye = Vec3::new(2.0, if leaves > 0 { 0.9 } else { 3.0 }, -5.0);
+    Ok(Scene { name: name.into(), mesh, objects, eye, look: Vec3::new(0.0, 0.2, 0.0), lights: ring(3.0) })
+}
+
+impl Scene {
+    /// Shadow rays of an image of `side` x `side` pixels, `per_light` to each light that the surface faces; of tiles of
+    /// 16 x 16 pixels, one in `step`.
+    pub fn shadows(&self, side: u32, per_light: u32, step: u32) -> Result<Shadows> {
+        let bvh = Bvh::build(&self.mesh.positions, &self.mesh.triangles, &BuildOptions::default())?;
+        let tiles = side / 16;
+        let mut shadows = Shadows { rays: Vec::new(), fans: Vec::new(), side };
+        // Scattered by a stride that has no factor in common with the number of tiles.
+        let chosen = (0..tiles * tiles / step)
+            .map(|i| i.wrapping_mul(if step == 1 { 1 } else { 1_597 }) % (tiles * tiles));
+        for tile in chosen {
+            for place in 0..256 {
+                let (x, y) = (tile % tiles * 16 + place % 16, tile / tiles * 16 + place / 16);
+                let ray = self.camera_ray(x, y, side);
+                let Some(hit) = bvh.closest_hit(&ray) else { continue };
+                let [a, b, c] = self.mesh.triangle(hit.prim_index as usize).map(Vec3::from);
+                let normal = (b - a).cross(c - a).normalize_or_zero();
+                let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
+                let point = a + (b - a) * hit.u + (c - a) * hit.v;
+                let magnitude = a.abs().max(b.abs()).max(c.abs()).max_element();
+                let receiver = offset_origin(point, normal, normal, magnitude);
+                self.add_fans(&mut shadows, receiver, normal, y * side + x, per_light);
+            }
+        }
+        Ok(shadows)
+    }
+
+    /// The ray through the middle of a pixel.
+    fn camera_ray(&self, x: u32, y: u32, side: u32) -> Ray {
+        let forward = (self.look - self.eye).normalize();
+        let right = forward.cross(Vec3::Y).normalize();
+        let up = right.cross(forward);
+        let offset = |i: u32| 0.85 * ((i as f32 + 0.5) / side as f32 - 0.5);
+        Ray::new(self.eye, forward + right * offset(x) - up * offset(y))
+    }
+
+    /// Normals of what each pixel sees of `mesh`.
+    pub fn first_normals(&self, mesh: &TriangleMesh, side: u32) -> Result<Vec<Option<Vec3>>> {
+        let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default())?;
+        let normal = |i: u32| {
+            let hit = bvh.closest_hit(&self.camera_ray(i % side, i / side, side))?;
+            let [a, b, c] = mesh.triangle(hit.prim_index as usize).map(Vec3::from);
+            Some((b - a).cross(c - a).normalize_or_zero())
+        };
+        Ok((0..side * side).map(normal).collect())
+    }
+
+    /// Rays from one receiver to every light that it faces.
+    fn add_fans(&self, shadows: &mut Shadows, receiver: Vec3, normal: Vec3, pixel: u32, per_light: u32) {
+        let mut random = RandomStream::new(99, pixel);
+        for (light, shape) in self.lights.iter().enumerate() {
+            if normal.dot(shape.center - receiver) <= 0.0 {
+                continue;
+            }
+            let columns = per_light.min(5);
+            let start = shadows.rays.len() as u32;
+            let per_light = if shape.size == 0.0 { 1 } else { per_light };
+            for k in 0..per_light {
+                let cell = Vec2::new((k % columns) as f32, (k / columns) as f32);
+                let jitter = Vec2::new(random.next_unit(), random.next_unit());
+                let rows = per_light.div_ceil(columns);
+                let at = ((cell + jitter) / Vec2::new(columns as f32, rows as f32) - 0.5) * shape.size;
+                shadows.rays.push(Ray::between(receiver, shape.center + Vec3::new(at.x, 0.0, at.y)));
+            }
+            shadows.fans.push(Fan { light: light as u32, pixel, start, end: shadows.rays.len() as u32 });
+        }
+    }
+}
+
+/// A closed mesh by name: a file of the folder, else a generator.
+pub fn closed_mesh(name: &str, quick: bool) -> Result<Option<TriangleMesh>> {
+    let generated = |triangles| scenes::generated(name, triangles).map(Some);
+    match name {
+        "dragonish" => generated(if quick { 100_000 } else { 870_000 }),
+        "knots" | "blob" => generated(if quick { 30_000 } else { 120_000 }),
+        _ => match scenes::mesh_folder() {
+            Some(folder) => {
+                Ok(Some(umbrage_scene::read_mesh(&folder.join("closed").join(name).with_extension("obj"))?))
+            }
+            None => Ok(None),
+        },
+    }
+}

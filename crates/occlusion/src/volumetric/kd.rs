@@ -1,0 +1,373 @@
+//! Shadow rays through a kd-tree whose opaque cells end them.
+
+use super::{
+    BoxPack, Classifier, Ends, Object, OccluderCache, SolidOptions, Solids, Statistics, classify,
+    ends::{is_outside, region_is_outside},
+};
+use umbrage_accel::{
+    BackEnd, BuildError, KdTree,
+    kdtree::{Blocker, Cells, KdOptions, KdScratch, Order, Start},
+};
+use umbrage_geom::{Aabb, Ray, SlabRay};
+
+/// Boxes around generators that rays are tested against first.
+const GROUPS: usize = 8;
+
+/// Options of [`KdVolumetric::build`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct KdVolumetricOptions {
+    /// How the tree is built.
+    pub tree: KdOptions,
+    /// Which objects may generate occluders.
+    pub solids: SolidOptions,
+    /// How cells are classified.
+    pub classifier: Classifier,
+}
+
+impl KdVolumetricOptions {
+    /// With other options of the tree.
+    #[must_use]
+    pub fn with_tree(self, tree: KdOptions) -> Self {
+        Self { tree, ..self }
+    }
+
+    /// With other rules for generators.
+    #[must_use]
+    pub fn with_solids(self, solids: SolidOptions) -> Self {
+        Self { solids, ..self }
+    }
+
+    /// With another way to classify.
+    #[must_use]
+    pub fn with_classifier(self, classifier: Classifier) -> Self {
+        Self { classifier, ..self }
+    }
+}
+
+/// A kd-tree with volumetric occluders; exact.
+#[derive(Clone, Debug)]
+pub struct KdVolumetric {
+    tree: KdTree,
+    solids: Solids,
+    /// Cells of opaque leaves, by slot: the node-to-bounds table of [Djeu11], section 3.5, for these alone.
+    boxes: Vec<Aabb>,
+    /// Boxes around generators, at most [`GROUPS`].
+    groups: Vec<Aabb>,
+    group_pack: BoxPack<GROUPS>,
+}
+
+/// What a thread needs to trace rays: lists of nodes and a cache for each light.
+#[derive(Clone, Debug, Default)]
+pub struct Scratch {
+    single: KdScratch<1>,
+    packet: KdScratch<4>,
+    caches: Vec<OccluderCache>,
+}
+
+impl Scratch {
+    /// The cache of `light`, made when first asked for.
+    fn cache(caches: &mut Vec<OccluderCache>, light: usize) -> &mut OccluderCache {
+        if caches.len() <= light {
+            caches.resize_with(light + 1, OccluderCache::default);
+        }
+        &mut caches[light]
+    }
+}
+
+/// How rays are traced; answers don't depend on it, but [`Ends::Outside`] must be true.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Query {
+    /// The traversal order.
+    pub order: Order,
+    /// What is known of the ends.
+    pub ends: Ends,
+    /// The light whose cache is used, if any.
+    pub light: Option<usize>,
+    /// Whether occluders end rays at all.
+    pub occluders: bool,
+}
+
+impl Default for Query {
+    /// [`Order::QUICK`] without a cache.
+    fn default() -> Self {
+        Self { order: Order::QUICK, ends: Ends::Unknown, light: None, occluders: true }
+    }
+}
+
+impl Query {
+    /// With another order.
+    #[must_use]
+    pub fn with_order(self, order: Order) -> Self {
+        Self { order, ..self }
+    }
+
+    /// With other knowledge of the ends.
+    #[must_use]
+    pub fn with_ends(self, ends: Ends) -> Self {
+        Self { ends, ..self }
+    }
+
+    /// With occluders or without.
+    #[must_use]
+    pub fn with_occluders(self, occluders: bool) -> Self {
+        Self { occluders, ..self }
+    }
+
+    /// With the cache of a light.
+    #[must_use]
+    pub fn with_light(self, light: Option<usize>) -> Self {
+        Self { light, ..self }
+    }
+}
+
+impl KdVolumetric {
+    /// Builds the tree over all triangles, finds the generators among `objects` (the whole mesh if there are none) and
+    /// classifies the empty cells.
+    ///
+    /// # Errors
+    /// As [`KdTree::build`].
+    ///
+    /// # Panics
+    /// If an object names triangles that don't exist.
+    pub fn build(
+        positions: &[[f32; 3]],
+        triangles: &[[u32; 3]],
+        objects: &[Object],
+        options: &KdVolumetricOptions,
+    ) -> Result<Self, BuildError> {
+        Self::build_watched(positions, triangles, objects, options, &mut |_| true)
+    }
+
+    /// [`Self::build`] with `progress`, which is called with numbers that grow to 1 and cancels by returning `false`.
+    ///
+    /// # Errors
+    /// As [`Self::build`]; [`BuildError::Cancelled`].
+    ///
+    /// # Panics
+    /// If an object names triangles that don't exist.
+    pub fn build_watched(
+        positions: &[[f32; 3]],
+        triangles: &[[u32; 3]],
+        objects: &[Object],
+        options: &KdVolumetricOptions,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<Self, BuildError> {
+        // Indices are checked before anything looks at them.
+        umbrage_geom::mesh::validate_slices(positions, triangles)?;
+        let solids = Solids::find(positions, triangles, objects, &options.solids);
+        let tree = KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, progress)?;
+        Ok(Self::new(tree, solids, options.classifier))
+    }
+
+    /// Adds occluders to a tree over the mesh that `solids` was found in, with its caps as guards
+    /// ([`KdTree::build_guarded`]).
+    pub fn new(mut tree: KdTree, solids: Solids, classifier: Classifier) -> Self {
+        let boxes = if solids.generators().is_empty() {
+            Vec::new()
+        } else {
+            classify(&mut tree, &solids, classifier)
+        };
+        let groups = grouped(solids.generators().iter().map(|g| g.bounds).collect());
+        let mut group_pack = BoxPack::EMPTY;
+        groups.iter().enumerate().for_each(|(i, group)| group_pack.set(i, group));
+        Self { tree, solids, boxes, groups, group_pack }
+    }
+
+    /// Whether the open segment meets any triangle.
+    pub fn any_hit(&self, ray: &Ray, query: &Query, scratch: &mut Scratch) -> bool {
+        self.any_hit_with(ray, query, scratch, &mut ())
+    }
+
+    /// [`Self::any_hit`], counted.
+    pub fn any_hit_with(
+        &self,
+        ray: &Ray,
+        query: &Query,
+        scratch: &mut Scratch,
+        stats: &mut impl Statistics,
+    ) -> bool {
+        let Scratch { single, caches, .. } = scratch;
+        let [hit] = self.walk([ray], query, single, caches, stats);
+        hit
+    }
+
+    /// [`Self::any_hit`] of each ray, in packets of four ([Djeu11], section 3.7.1).
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn any_hits_in_packets(
+        &self,
+        rays: &[Ray],
+        hits: &mut [bool],
+        query: &Query,
+        scratch: &mut Scratch,
+        stats: &mut impl Statistics,
+    ) {
+        assert_eq!(rays.len(), hits.len(), "as many answers as rays");
+        let Scratch { packet, caches, .. } = scratch;
+        for (rays, hits) in rays.chunks(4).zip(hits.chunks_mut(4)) {
+            // A short packet is filled up with a ray that is not valid, which costs nothing.
+            let none = Ray { tfar: f32::NAN, ..rays[0] };
+            let four = [0, 1, 2, 3].map(|i| rays.get(i).unwrap_or(&none));
+            let found = self.walk(four, query, packet, caches, stats);
+            hits.copy_from_slice(&found[..hits.len()]);
+        }
+    }
+
+    #[inline(always)]
+    fn walk<const N: usize>(
+        &self,
+        rays: [&Ray; N],
+        query: &Query,
+        scratch: &mut KdScratch<N>,
+        caches: &mut Vec<OccluderCache>,
+        stats: &mut impl Statistics,
+    ) -> [bool; N] {
+        let cache = query.light.map(|light| Scratch::cache(caches, light));
+        let mut cells = Occluders { this: self, ends: query.ends, cache, events: Events::default() };
+        let found = if query.occluders && !self.boxes.is_empty() {
+            let found = self.tree.blockers(rays, query.order, &mut cells, scratch, stats);
+            cells.events.report(stats);
+            found
+        } else {
+            self.tree.blockers(rays, Order::RAY, &mut (), scratch, stats)
+        };
+        for (&ray, &blocker) in rays.iter().zip(&found) {
+            match blocker {
+                Blocker::Cell(slot) => stats.ended_in_cell(self.boxes[slot as usize].area()),
+                _ if ray.is_valid() => stats.ended(blocker.any()),
+                _ => {}
+            }
+        }
+        found.map(Blocker::any)
+    }
+
+    /// Whether all points of `region`, such as a light, are surely outside of every generator, so that segments to it have
+    /// [`Ends::Outside`].
+    pub fn is_outside(&self, region: &Aabb) -> bool {
+        !self.solids.may_enclose(region) || region_is_outside(&self.tree, region)
+    }
+
+    /// The tree.
+    pub fn tree(&self) -> &KdTree {
+        &self.tree
+    }
+
+    /// The generators.
+    pub fn solids(&self) -> &Solids {
+        &self.solids
+    }
+
+    /// The occluders: opaque cells, by slot.
+    pub fn occluders(&self) -> &[Aabb] {
+        &self.boxes
+    }
+
+    /// Opaque leaves among all leaves ([Djeu11], section 4.8.2).
+    pub fn occurrence_rate(&self) -> f64 {
+        // Every inner node has two children.
+        self.boxes.len() as f64 / self.tree.node_count().div_ceil(2) as f64
+    }
+
+    /// Bytes that the tree and its occluders hold.
+    pub fn bytes(&self) -> usize {
+        self.tree.bytes() + size_of_val(&self.boxes[..])
+    }
+
+    /// The same on another back end. Answers are the same.
+    ///
+    /// # Errors
+    /// [`BuildError::BackEnd`] if this processor lacks it.
+    pub fn with_back_end(self, back_end: BackEnd) -> Result<Self, BuildError> {
+        Ok(Self { tree: self.tree.with_back_end(back_end)?, ..self })
+    }
+}
+
+/// Joins boxes, those first that grow least, until there are few.
+fn grouped(mut boxes: Vec<Aabb>) -> Vec<Aabb> {
+    // Quadratic in what is left: long lists are first joined in order.
+    if boxes.len() > 256 {
+        let run = boxes.len().div_ceil(256);
+        boxes = boxes.chunks(run).map(|chunk| chunk.iter().copied().fold(Aabb::EMPTY, Aabb::union)).collect();
+    }
+    while boxes.len() > GROUPS {
+        let mut best = (f32::INFINITY, 0, 1);
+        for i in 0..boxes.len() {
+            for j in 0..i {
+                let growth = boxes[i].union(boxes[j]).area() - boxes[i].area().max(boxes[j].area());
+                if growth < best.0 {
+                    best = (growth, j, i);
+                }
+            }
+        }
+        let other = boxes.swap_remove(best.2);
+        boxes[best.1] = boxes[best.1].union(other);
+    }
+    boxes
+}
+
+/// What happened before and beside the walk, counted only where statistics want it.
+#[derive(Default)]
+struct Events {
+    boxes: u32,
+    lookups: u32,
+    found: u32,
+}
+
+impl Events {
+    #[inline(always)]
+    fn report(&self, stats: &mut impl Statistics) {
+        stats.boxes(self.boxes);
+        (0..self.lookups).for_each(|i| stats.looked_up(i < self.found));
+    }
+}
+
+/// The occluders as one walk sees them.
+struct Occluders<'a> {
+    this: &'a KdVolumetric,
+    ends: Ends,
+    cache: Option<&'a mut OccluderCache>,
+    events: Events,
+}
+
+impl Cells for Occluders<'_> {
+    #[inline(always)]
+    fn start(&mut self, _: usize, ray: &Ray, slab: &SlabRay) -> Start {
+        let this = self.this;
+        // Dynamic use, [Djeu11], section 4.3, with a box a generator.
+        self.events.boxes += this.groups.len() as u32;
+        if this.group_pack.touched(slab) == 0 {
+            return Start::Plain;
+        }
+        for guard in this.solids.guards() {
+            self.events.boxes += 1;
+            if slab.entry(guard, slab.tfar).is_some() {
+                return Start::Plain;
+            }
+        }
+        if self.ends == Ends::Unknown && !is_outside(&this.tree, ray) {
+            return Start::Plain;
+        }
+        if let Some(cache) = &mut self.cache {
+            self.events.boxes += 4;
+            self.events.lookups += 1;
+            if let Some(slot) = cache.find(slab) {
+                self.events.found += 1;
+                return Start::Blocked(slot);
+            }
+        }
+        Start::Cells
+    }
+
+    #[inline(always)]
+    fn blocks(&mut self, slot: u32, _: usize, slab: &SlabRay) -> bool {
+        let aabb = &self.this.boxes[slot as usize];
+        let crossed = slab.surely_crosses(aabb);
+        if crossed && let Some(cache) = &mut self.cache {
+            cache.insert(slot, aabb);
+        }
+        crossed
+    }
+}

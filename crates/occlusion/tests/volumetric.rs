@@ -1,0 +1,383 @@
+//! Whatever occluders there are: every answer is that of the loop over all triangles.
+
+use proptest::prelude::*;
+use std::sync::Arc;
+use umbrage_accel::{
+    BackEnd, BuildOptions, Bvh, brute,
+    kdtree::{KdOptions, LeafState, Order, Search},
+};
+use umbrage_geom::{
+    Aabb, Ray,
+    glam::{DVec3, Vec3},
+};
+use umbrage_occlusion::volumetric::{
+    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
+    SolidBvhOptions, SolidCounters, SolidOptions,
+};
+
+type Mesh = (Vec<[f32; 3]>, Vec<[u32; 3]>);
+
+/// A solid to put into a mesh: shape, center, half sizes, how it is spoilt.
+type Part = (u8, [f32; 3], [f32; 3], u8);
+
+fn part() -> impl Strategy<Value = Part> {
+    let place = || {
+        let x = || prop_oneof![(-3i8..=3).prop_map(f32::from), (-6i8..=6).prop_map(|x| f32::from(x) * 0.37)];
+        [x(), x(), x()]
+    };
+    let size = || {
+        let x = || prop_oneof![Just(1.0f32), Just(2.0), 0.3f32..3.0];
+        [x(), x(), x()]
+    };
+    (0u8..4, place(), size(), 0u8..12)
+}
+
+fn cube() -> Mesh {
+    let positions = (0..8).map(|i| [0, 1, 2].map(|axis| (i >> axis & 1) as f32 * 2.0 - 1.0)).collect();
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    (positions, quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect())
+}
+
+/// A sphere of 8 * 4^`level` triangles.
+fn sphere(level: u32) -> Mesh {
+    let mut positions = vec![Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
+    let mut triangles = Vec::new();
+    for [x, y, z] in
+        [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5u32]]
+    {
+        triangles.push([x, y, z]);
+    }
+    for _ in 0..level {
+        let mut finer = Vec::new();
+        for [a, b, c] in triangles {
+            // Middles of edges are made twice, at the same place: the audit joins them.
+            let mut middle = |i: u32, j: u32| {
+                positions.push((positions[i as usize] + positions[j as usize]).normalize());
+                positions.len() as u32 - 1
+            };
+            let (d, e, f) = (middle(a, b), middle(b, c), middle(c, a));
+            finer.extend([[a, d, f], [d, b, e], [f, e, c], [d, e, f]]);
+        }
+        triangles = finer;
+    }
+    (positions.iter().map(|p| p.to_array()).collect(), triangles)
+}
+
+fn mesh(parts: &[Part]) -> (Mesh, Vec<Object>) {
+    let (mut positions, mut triangles, mut objects) = (Vec::new(), Vec::new(), Vec::new());
+    for &(shape, center, half, spoil) in parts {
+        let (p, mut t) = match shape {
+            0 => cube(),
+            1 => sphere(0),
+            2 => sphere(1),
+            4 => sphere(4),
+            _ => sphere(2),
+        };
+        match spoil {
+            0 => drop(t.remove(t.len() / 2)),
+            1 => t[1].swap(0, 1),
+            2 => t.iter_mut().for_each(|t| t.swap(1, 2)),
+            3 => t.push(t[2]),
+            4 => drop(t.drain(..t.len() / 3)),
+            _ => {}
+        }
+        let (first, start) = (positions.len() as u32, triangles.len() as u32);
+        positions.extend(p.iter().map(|p| [0, 1, 2].map(|axis| center[axis] + p[axis] * half[axis])));
+        triangles.extend(t.iter().map(|t| t.map(|v| v + first)));
+        objects.push(Object { triangles: start..triangles.len() as u32, opaque: spoil != 5 });
+    }
+    ((positions, triangles), objects)
+}
+
+/// How an end of a segment is made: kind, numbers.
+type Aim = (u8, [f32; 3], usize, (f32, f32));
+
+fn aim() -> impl Strategy<Value = Aim> {
+    let coordinate = || prop_oneof![(-4i8..=4).prop_map(f32::from), -4f32..4.0];
+    let weights =
+        prop_oneof![Just((0f32, 0f32)), Just((0.5, 0.0)), Just((0.25, 0.25)), (0f32..0.5, 0f32..0.5)];
+    (0u8..6, [coordinate(), coordinate(), coordinate()], any::<usize>(), weights)
+}
+
+/// A point in space, far away, on the surface or inside of a part.
+fn point((positions, triangles): &Mesh, parts: &[Part], (kind, free, index, (u, v)): Aim) -> Vec3 {
+    let corners = triangles[index % triangles.len()].map(|v| Vec3::from(positions[v as usize]));
+    match kind {
+        0 | 1 => free.into(),
+        2 => Vec3::from(free) * 50.0,
+        3 | 4 => corners[0] + (corners[1] - corners[0]) * u + (corners[2] - corners[0]) * v,
+        _ => {
+            let (_, center, half, _) = parts[index % parts.len()];
+            Vec3::from(center) + Vec3::from(half) * Vec3::from(free) * 0.1
+        }
+    }
+}
+
+fn segments(mesh: &Mesh, parts: &[Part], aims: Vec<(Aim, Aim, u8)>) -> Vec<Ray> {
+    aims.into_iter()
+        .map(|(from, to, ends)| {
+            let ray = Ray::between(point(mesh, parts, from), point(mesh, parts, to));
+            match ends {
+                0 => ray.with_tfar(f32::INFINITY),
+                1 => Ray { tnear: 0.3, tfar: 0.9, ..ray },
+                2 => Ray { direction: ray.direction * Vec3::new(1.0, 0.0, 1.0), ..ray },
+                3 => Ray { direction: ray.direction * Vec3::Y, tfar: 2.0, ..ray },
+                _ => ray,
+            }
+        })
+        .collect()
+}
+
+fn orders() -> Vec<Order> {
+    let mut orders =
+        vec![Order::RAY, Order::EXTENDED, Order::EXTENDED_SPARSE, Order::BREADTH, Order::QUICK, Order::SOLID];
+    orders.extend([Search::Breadth, Search::Quick, Search::Solid].map(|s| Order::new(s, 2).with_flush(true)));
+    orders
+}
+
+fn cases() -> impl Strategy<Value = (Vec<Part>, Vec<(Aim, Aim, u8)>)> {
+    let aims = prop::collection::vec((aim(), aim(), 0u8..10), 24);
+    (prop::collection::vec(part(), 1..5), aims)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(120))]
+
+    #[test]
+    fn every_order_gives_the_answers_of_the_predicate(
+        (parts, aims) in cases(), apart in any::<bool>(), rays_classify in any::<bool>(),
+        traverse in prop::sample::select(vec![0.1f32, 1.0]),
+    ) {
+        let (mesh, objects) = mesh(&parts);
+        let rays = segments(&mesh, &parts, aims);
+        let truth: Vec<bool> = rays.iter().map(|ray| brute::any_hit(&mesh.0, &mesh.1, ray)).collect();
+        let options = KdVolumetricOptions::default()
+            .with_tree(KdOptions::default().with_cost_traverse(traverse))
+            .with_classifier(if rays_classify { Classifier::TestRays } else { Classifier::Flood });
+        let objects = if apart { &objects[..] } else { &[] };
+        let built = KdVolumetric::build(&mesh.0, &mesh.1, objects, &options).unwrap();
+        for back_end in [BackEnd::Scalar, BackEnd::Avx2].into_iter().filter(|b| b.is_supported()) {
+            let built = built.clone().with_back_end(back_end).unwrap();
+            let mut scratch = Scratch::default();
+            for order in orders() {
+                for light in [None, Some(1)] {
+                    let query = Query::default().with_order(order).with_light(light);
+                    let single: Vec<bool> = rays.iter().map(|ray| built.any_hit(ray, &query, &mut scratch)).collect();
+                    prop_assert_eq!(&single, &truth, "{:?} {:?}", query, back_end);
+                    let mut packets = vec![false; rays.len()];
+                    built.any_hits_in_packets(&rays, &mut packets, &query, &mut scratch, &mut ());
+                    prop_assert_eq!(&packets, &truth, "{:?} {:?}", query, back_end);
+                    // Where an end is outside for certain, saying so changes nothing.
+                    for (ray, &hit) in rays.iter().zip(&truth) {
+                        let end = Vec3::from(ray.at(ray.tfar));
+                        if ray.tfar == f32::INFINITY || built.is_outside(&Aabb { min: end - 1e-3, max: end + 1e-3 }) {
+                            prop_assert_eq!(built.any_hit(ray, &query.with_ends(Ends::Outside), &mut scratch), hit);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Solid boxes in a wide hierarchy: single rays, and fans of all kinds.
+    #[test]
+    fn wide_hierarchies_give_the_answers_of_the_predicate((parts, aims) in cases(), apart in any::<bool>(), leaf in 1u8..9) {
+        let (mesh, objects) = mesh(&parts);
+        let rays = segments(&mesh, &parts, aims);
+        let objects = if apart { &objects[..] } else { &[] };
+        let bvh = Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default().with_leaf_size(leaf)).unwrap();
+        let built = SolidBvh::build(Arc::new(bvh), &mesh.0, &mesh.1, objects, &SolidBvhOptions::default());
+        // Fans from each origin towards where the other rays go, with lengths and ends of all kinds.
+        let fans = rays.iter().flat_map(|from| {
+            rays.iter().map(move |to| {
+                let target = if to.tfar == f32::INFINITY { to.direction } else { to.origin + to.direction - from.origin };
+                Ray { origin: from.origin, direction: target, ..*to }
+            })
+        });
+        let fans: Vec<Ray> = fans.collect();
+        let truth = |rays: &[Ray]| -> Vec<bool> { rays.iter().map(|ray| brute::any_hit(&mesh.0, &mesh.1, ray)).collect() };
+        let (single_truth, fan_truth) = (truth(&rays), truth(&fans));
+        for simd in [false, true] {
+            let built = built.clone().with_simd(simd);
+            let mut scratch = built.scratch();
+            for light in [None, Some(1)] {
+                let single: Vec<bool> =
+                    rays.iter().map(|ray| built.any_hit(ray, Ends::Unknown, light, &mut scratch)).collect();
+                prop_assert_eq!(&single, &single_truth, "{:?} {}", light, simd);
+                let mut hits = vec![false; fans.len()];
+                built.any_hits(&fans, &mut hits, Ends::Unknown, light, &mut scratch);
+                for i in 0..fans.len() {
+                    prop_assert_eq!(hits[i], fan_truth[i], "{:?} {} {:?}", light, simd, fans[i]);
+                }
+                for (ray, &hit) in rays.iter().zip(&single_truth) {
+                    let end = Vec3::from(ray.at(ray.tfar));
+                    if ray.tfar == f32::INFINITY || built.is_outside(&Aabb { min: end - 1e-3, max: end + 1e-3 }) {
+                        prop_assert_eq!(built.any_hit(ray, Ends::Outside, light, &mut scratch), hit);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Both classifiers mark the same cells, and what the exact winding number says of points in them.
+    #[test]
+    fn classifiers_agree((parts, _) in cases(), apart in any::<bool>(), at in [0.01f32..0.99, 0.01f32..0.99, 0.01f32..0.99]) {
+        let (mesh, objects) = mesh(&parts);
+        let objects = if apart { &objects[..] } else { &[] };
+        let trees = [Classifier::Flood, Classifier::TestRays].map(|classifier| {
+            let tree = KdOptions::default().with_cost_traverse(0.1);
+            let options = KdVolumetricOptions::default().with_tree(tree).with_classifier(classifier);
+            KdVolumetric::build(&mesh.0, &mesh.1, objects, &options).unwrap()
+        });
+        prop_assert_eq!(trees[0].occluders(), trees[1].occluders());
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        trees[0].tree().for_each_leaf(|leaf| a.push(leaf));
+        trees[1].tree().for_each_leaf(|leaf| b.push(leaf));
+        prop_assert_eq!(&a, &b);
+        for leaf in a {
+            let point = leaf.bounds.min + (leaf.bounds.max - leaf.bounds.min) * Vec3::from(at);
+            let inside = point.cmpgt(leaf.bounds.min).all() && point.cmplt(leaf.bounds.max).all();
+            if leaf.state != LeafState::Boundary && inside && !trees[0].solids().generators().is_empty() {
+                let winding = trees[0].solids().winding_number_of(&mesh.0, &mesh.1, point);
+                prop_assert_eq!(leaf.state == LeafState::Opaque, winding != 0);
+            }
+        }
+    }
+}
+
+fn build(parts: &[Part], options: &KdVolumetricOptions) -> (Mesh, KdVolumetric) {
+    let (mesh, objects) = mesh(parts);
+    let built = KdVolumetric::build(&mesh.0, &mesh.1, &objects, options).unwrap();
+    (mesh, built)
+}
+
+const BALL: Part = (4, [0.0; 3], [1.0; 3], 11);
+
+#[test]
+fn a_ball_is_full_of_occluders_that_end_rays() {
+    let (mesh, built) = build(&[BALL], &KdVolumetricOptions::default());
+    assert_eq!(built.solids().generators().len(), 1);
+    let volume: f64 =
+        built.occluders().iter().map(|b| (b.max - b.min).as_dvec3()).map(DVec3::element_product).sum();
+    assert!(volume > 0.4 * 4.19, "{volume}");
+    assert!(built.occurrence_rate() > 0.05 && built.occurrence_rate() < 0.6);
+    let (mut counters, mut scratch) = (Counters::default(), Scratch::default());
+    let query = Query::default().with_light(Some(0));
+    for i in 0..200 {
+        let angle = i as f32 * 0.1;
+        let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
+        let ray = Ray::between(from, -from * 1.1);
+        assert!(built.any_hit_with(&ray, &query, &mut scratch, &mut counters));
+        assert!(brute::any_hit(&mesh.0, &mesh.1, &ray));
+    }
+    assert!(counters.cell_hits > 190 && counters.cache_hits > 100, "{counters:?}");
+    assert_eq!(counters.cell_hits + counters.triangle_hits + counters.misses, 200);
+    assert!(counters.cell_area > 0.0 && counters.cache_lookups == 200);
+    // Rays beside it, and rays of a mesh without generators, use ray order and look nothing up.
+    let beside = Ray::between([-3.0, 2.0, 0.0], [3.0, 2.0, 0.0]);
+    assert!(!built.any_hit_with(&beside, &query, &mut scratch, &mut counters));
+    assert_eq!(counters.cache_lookups, 200);
+}
+
+#[test]
+fn segments_inside_of_a_ball_hit_nothing() {
+    let (_, built) = build(&[BALL], &KdVolumetricOptions::default());
+    let mut scratch = Scratch::default();
+    let mut counters = Counters::default();
+    for order in orders() {
+        let query = Query::default().with_order(order).with_light(Some(0));
+        let inside = Ray::between([-0.3, 0.1, 0.0], [0.4, -0.2, 0.1]);
+        assert!(!built.any_hit_with(&inside, &query, &mut scratch, &mut counters));
+        let out = inside.with_tfar(10.0);
+        assert!(built.any_hit(&out, &query, &mut scratch));
+        // A light in the middle of the ball, seen from within and without.
+        assert!(!built.is_outside(&Aabb { min: Vec3::splat(-0.1), max: Vec3::splat(0.1) }));
+        assert!(!built.any_hit(&Ray::between([0.5, 0.0, 0.0], [0.0; 3]), &query, &mut scratch));
+        assert!(built.any_hit(&Ray::between([1.5, 0.0, 0.0], [0.0; 3]), &query, &mut scratch));
+    }
+    assert_eq!(counters.cell_hits, 0);
+    assert!(built.is_outside(&Aabb { min: Vec3::splat(0.9), max: Vec3::splat(0.99) }));
+    assert!(built.is_outside(&Aabb { min: Vec3::splat(5.0), max: Vec3::splat(6.0) }));
+    assert!(!built.is_outside(&Aabb { min: Vec3::splat(-6.0), max: Vec3::splat(6.0) }));
+}
+
+/// A bowl: the ball without the triangles above a height.
+fn bowl(height: f32) -> Mesh {
+    let (positions, mut triangles) = sphere(4);
+    triangles.retain(|t| t.iter().any(|&v| positions[v as usize][1] < height));
+    (positions, triangles)
+}
+
+#[test]
+fn an_open_ball_has_occluders_for_rays_that_avoid_its_hole() {
+    let mesh = bowl(0.9);
+    let closed_only = KdVolumetricOptions::default().with_solids(SolidOptions::default().with_max_holes(0));
+    let none = KdVolumetric::build(&mesh.0, &mesh.1, &[], &closed_only).unwrap();
+    assert!(none.solids().generators().is_empty() && none.occluders().is_empty());
+    let built = KdVolumetric::build(&mesh.0, &mesh.1, &[], &KdVolumetricOptions::default()).unwrap();
+    assert_eq!((built.solids().generators()[0].holes, built.solids().guards().len()), (1, 1));
+    let (mut scratch, mut counters) = (Scratch::default(), Counters::default());
+    let query = Query::default();
+    // Across, below the hole.
+    assert!(built.any_hit_with(
+        &Ray::between([-3.0, -0.1, 0.2], [3.0, 0.0, 0.0]),
+        &query,
+        &mut scratch,
+        &mut counters
+    ));
+    assert_eq!(counters.cell_hits, 1);
+    // From inside through the hole: nothing is in the way.
+    let through = Ray::between([0.0, 0.0, 0.0], [0.05, 4.0, 0.0]);
+    assert!(!brute::any_hit(&mesh.0, &mesh.1, &through));
+    assert!(!built.any_hit(&through, &query, &mut scratch));
+    // The other way, into the bottom.
+    let down = Ray::between([0.05, 4.0, 0.0], [0.0, -3.0, 0.0]);
+    assert!(built.any_hit_with(&down, &query, &mut scratch, &mut counters));
+    assert_eq!((counters.cell_hits, counters.triangle_hits), (1, 1));
+}
+
+#[test]
+fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
+    let (mesh, objects) = mesh(&[BALL]);
+    let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
+    let built = SolidBvh::build(bvh, &mesh.0, &mesh.1, &objects, &SolidBvhOptions::default());
+    assert!(built.generator_count() == 1 && built.coverage(0) > 0.3 && !built.occluders().is_empty());
+    for aabb in built.occluders() {
+        let farthest = aabb.min.abs().max(aabb.max.abs());
+        assert!(farthest.length() < 1.0, "{aabb:?}");
+    }
+    let (mut scratch, mut counters) = (built.scratch(), SolidCounters::default());
+    for i in 0..200 {
+        let angle = i as f32 * 0.1;
+        let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
+        let ray = Ray::between(from, -from * 1.1);
+        assert!(built.any_hit_counted(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters));
+        let inside = Ray::between(from * 0.1, -from * 0.1);
+        assert!(!built.any_hit(&inside, Ends::Unknown, Some(0), &mut scratch));
+    }
+    assert!(counters.solid_hits == 200 && counters.remembered_hits > 150, "{counters:?}");
+    // An open one, from inside through the hole.
+    let mesh = bowl(0.9);
+    let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
+    let built = SolidBvh::build(bvh, &mesh.0, &mesh.1, &[], &SolidBvhOptions::default());
+    assert!(built.generator_count() == 1);
+    let mut scratch = built.scratch();
+    assert!(!built.any_hit(&Ray::between([0.0; 3], [0.05, 4.0, 0.0]), Ends::Unknown, None, &mut scratch));
+}
+
+#[test]
+fn flat_and_hopeless_objects_generate_nothing() {
+    let (positions, triangles) = cube();
+    let flat: Vec<[f32; 3]> = positions.iter().map(|p| [p[0], p[1], 0.5]).collect();
+    let built = KdVolumetric::build(&flat, &triangles, &[], &KdVolumetricOptions::default()).unwrap();
+    assert!(built.solids().generators().is_empty());
+    // Half of the cube is missing: the hole is larger than allowed.
+    let built =
+        KdVolumetric::build(&positions, &triangles[..6], &[], &KdVolumetricOptions::default()).unwrap();
+    assert!(built.solids().generators().is_empty());
+    // Transparent objects never block.
+    let clear = Object { triangles: 0..12, opaque: false };
+    let built =
+        KdVolumetric::build(&positions, &triangles, &[clear], &KdVolumetricOptions::default()).unwrap();
+    assert!(built.occluders().is_empty());
+}

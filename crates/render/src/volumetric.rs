@@ -1,0 +1,194 @@
+//! Shadow methods that end rays inside of solids: `kd`, `kd-volumetric`, `bvh-volumetric`.
+//!
+//! Structures are built when the first ray asks ([Djeu11], section 4.8.5). Scenes with instances kept apart or with
+//! semi-transparent triangles are traced by single rays instead. Exact: pictures don't change.
+
+use crate::{
+    geometry::Geometry,
+    method::{LightRay, Method},
+};
+use std::sync::{Mutex, OnceLock};
+use umbrage_accel::{Counters, kdtree::Order};
+use umbrage_geom::Ray;
+use umbrage_occlusion::volumetric::{
+    self as occluders, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
+    SolidBvhOptions, SolidCounters, SolidScratch,
+};
+
+/// How rays are traced.
+#[derive(Clone, Copy)]
+enum Way {
+    /// Kd-tree in an order, with occluders or without.
+    Kd(Order, bool),
+    /// Solid boxes in the wide hierarchy.
+    Wide,
+}
+
+/// Names of the methods here.
+pub(crate) const NAMES: [&str; 8] = [
+    "kd",
+    "kd-volumetric",
+    "kd-volumetric:ray",
+    "kd-volumetric:extended",
+    "kd-volumetric:bfs",
+    "kd-volumetric:qdbfs",
+    "kd-volumetric:solid",
+    "bvh-volumetric",
+];
+
+fn way(name: &str) -> Option<Way> {
+    Some(match name {
+        "kd" => Way::Kd(Order::RAY, false),
+        "kd-volumetric:ray" => Way::Kd(Order::RAY, true),
+        "kd-volumetric:extended" => Way::Kd(Order::EXTENDED, true),
+        "kd-volumetric:bfs" => Way::Kd(Order::BREADTH, true),
+        "kd-volumetric" | "kd-volumetric:qdbfs" => Way::Kd(Order::QUICK, true),
+        "kd-volumetric:solid" => Way::Kd(Order::SOLID, true),
+        "bvh-volumetric" => Way::Wide,
+        _ => return None,
+    })
+}
+
+/// What the first ray builds.
+enum Structure {
+    Kd(Box<KdVolumetric>),
+    Wide(Box<SolidBvh>),
+    /// The scene's own hierarchy serves.
+    Plain,
+}
+
+/// What a thread keeps between calls.
+enum Kept {
+    Kd(Box<Scratch>),
+    Wide(Box<SolidScratch>),
+}
+
+struct Volumetric<'a> {
+    name: &'static str,
+    way: Way,
+    geometry: &'a Geometry,
+    structure: OnceLock<Structure>,
+    kept: Mutex<Vec<Kept>>,
+}
+
+/// The method called `name`; `None` if it isn't one of [`NAMES`].
+pub(crate) fn method<'a>(name: &str, geometry: &'a Geometry) -> Option<Box<dyn Method + 'a>> {
+    let name = NAMES.into_iter().find(|known| *known == name)?;
+    let way = way(name)?;
+    Some(Box::new(Volumetric {
+        name,
+        way,
+        geometry,
+        structure: OnceLock::new(),
+        kept: Mutex::new(Vec::new()),
+    }))
+}
+
+impl Volumetric<'_> {
+    fn build(&self) -> Structure {
+        let Some((bvh, mesh)) = self.geometry.flat_opaque() else { return Structure::Plain };
+        let objects: Vec<Object> = mesh
+            .objects_or_whole()
+            .into_iter()
+            .map(|object| Object { triangles: object.triangles, opaque: true })
+            .collect();
+        let (positions, triangles) = (&mesh.positions, &mesh.triangles);
+        match self.way {
+            Way::Kd(..) => {
+                let options = KdVolumetricOptions::default();
+                // The mesh is valid, as it has a hierarchy; only its size could be too much for this tree.
+                KdVolumetric::build(positions, triangles, &objects, &options)
+                    .map_or(Structure::Plain, |kd| Structure::Kd(Box::new(kd)))
+            }
+            Way::Wide => {
+                let options = SolidBvhOptions::default();
+                Structure::Wide(Box::new(SolidBvh::build(
+                    bvh.clone(),
+                    positions,
+                    triangles,
+                    &objects,
+                    &options,
+                )))
+            }
+        }
+    }
+
+    fn take(&self) -> Option<Kept> {
+        self.kept.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop()
+    }
+
+    fn give(&self, kept: Kept) {
+        self.kept.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(kept);
+    }
+}
+
+fn fraction(blocked: bool) -> f32 {
+    if blocked { 0.0 } else { 1.0 }
+}
+
+impl Method for Volumetric<'_> {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+        match (self.structure.get_or_init(|| self.build()), self.way) {
+            (Structure::Kd(kd), Way::Kd(order, occluders)) => {
+                let mut scratch = match self.take() {
+                    Some(Kept::Kd(scratch)) => scratch,
+                    _ => Box::default(),
+                };
+                let query = Query::default().with_order(order).with_occluders(occluders);
+                let mut counted = occluders::Counters::default();
+                for (light, out) in rays.iter().zip(passed) {
+                    let hit = match counters {
+                        Some(_) => kd.any_hit_with(&light.ray, &query, &mut scratch, &mut counted),
+                        None => kd.any_hit(&light.ray, &query, &mut scratch),
+                    };
+                    *out = fraction(hit);
+                }
+                if let Some(counters) = counters {
+                    counters.nodes += counted.kd.steps;
+                    counters.box_tests += counted.box_tests;
+                    counters.triangle_tests += counted.kd.triangle_tests;
+                }
+                self.give(Kept::Kd(scratch));
+            }
+            (Structure::Wide(solid), _) => {
+                let mut scratch = match self.take() {
+                    Some(Kept::Wide(scratch)) => scratch,
+                    _ => Box::new(solid.scratch()),
+                };
+                match counters {
+                    Some(counters) => {
+                        let mut counted = SolidCounters::default();
+                        for (light, out) in rays.iter().zip(passed) {
+                            let (ray, ends) = (&light.ray, Ends::Unknown);
+                            *out =
+                                fraction(solid.any_hit_counted(ray, ends, None, &mut scratch, &mut counted));
+                        }
+                        counters.nodes += counted.nodes;
+                        // A leaf is one test of up to eight triangles.
+                        counters.triangle_tests += counted.leaves;
+                    }
+                    None => {
+                        let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
+                        let mut hits = vec![false; rays.len()];
+                        solid.any_hits(&rays, &mut hits, Ends::Unknown, None, &mut scratch);
+                        hits.iter().zip(passed).for_each(|(&hit, out)| *out = fraction(hit));
+                    }
+                }
+                self.give(Kept::Wide(scratch));
+            }
+            _ => {
+                let mut counters = counters;
+                for (light, out) in rays.iter().zip(passed) {
+                    *out = match counters.as_deref_mut() {
+                        Some(counters) => self.geometry.transmittance(&light.ray, counters),
+                        None => self.geometry.transmittance(&light.ray, &mut ()),
+                    };
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! Methods that end rays inside of solids change no picture.
+
+use umbrage_geom::{MeshObject, TriangleMesh, glam::Affine3A};
+use umbrage_render::{
+    geometry::Geometry,
+    method::SHADOW_METHODS,
+    render::{RenderOptions, render},
+};
+use umbrage_scene::{
+    Camera, Instance, Light, Material, NamedMesh, Scene, Settings,
+    generate::{Parameters, generate},
+};
+
+/// A body on a plane under a square, a point inside of the body, and a sun; `opacity` of the body.
+fn scene(opacity: f32) -> Scene {
+    let parameters = Parameters { triangles: Some(6_000), ..Parameters::default() };
+    let mut mesh: TriangleMesh = generate("blob", &parameters).unwrap().mesh;
+    let bounds = mesh.bounds();
+    let (center, size) = (bounds.center(), bounds.diagonal());
+    let y = bounds.min.y;
+    let ground =
+        [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, z]: [f32; 2]| [x * size, y, z * size]);
+    let solid = mesh.triangles.len() as u32;
+    let plane = TriangleMesh::new(ground.to_vec(), vec![[0, 2, 1], [0, 3, 2]]).unwrap();
+    mesh.corner_normals.clear();
+    mesh.corner_uvs.clear();
+    mesh.append(&plane);
+    let object = |name: &str, triangles| MeshObject { name: name.into(), triangles, opacity: 1.0 };
+    mesh.objects = vec![object("body", 0..solid), object("ground", solid..solid + 2)];
+    let material = |name: &str, opacity| Material { name: name.into(), albedo: [0.7; 3], opacity };
+    let corner = (center + glam(0.2, 0.6, -0.4) * size).to_array();
+    Scene {
+        camera: Camera {
+            position: (center + glam(0.9, 0.8, 1.1) * size).to_array(),
+            target: center.to_array(),
+            up: [0.0, 1.0, 0.0],
+            fov: 45.0,
+            lens_radius: 0.0,
+            focus_distance: None,
+        },
+        meshes: vec![NamedMesh { name: "all".into(), mesh }],
+        instances: vec![Instance {
+            name: "all".into(),
+            mesh: 0,
+            world_from_object: Affine3A::IDENTITY,
+            materials: vec![0, 1],
+        }],
+        materials: vec![material("clay", opacity), material("floor", 1.0)],
+        lights: vec![
+            Light::Rectangle {
+                corner,
+                u: [0.4 * size, 0.0, 0.0],
+                v: [0.0, 0.0, 0.4 * size],
+                radiance: [9.0; 3],
+                two_sided: true,
+            },
+            Light::Point { position: center.to_array(), intensity: [5.0; 3] },
+            Light::Directional { direction: [0.5, -1.0, -0.3], irradiance: [1.0; 3], angle: 2.0 },
+        ],
+        ambient: None,
+        background: [0.1; 3],
+        settings: Settings { width: 48, height: 40, spp: 2, shadow_samples: 9, ..Settings::default() },
+    }
+}
+
+fn glam(x: f32, y: f32, z: f32) -> umbrage_geom::glam::Vec3 {
+    umbrage_geom::glam::Vec3::new(x, y, z)
+}
+
+#[test]
+fn pictures_are_those_of_the_plain_hierarchy() {
+    for opacity in [1.0, 0.5] {
+        let mut scene = scene(opacity);
+        let geometry = Geometry::build(&scene).unwrap();
+        let mut picture = |method: &str, count_cost| {
+            scene.settings.shadows = method.into();
+            let options = RenderOptions::default().with_count_cost(count_cost);
+            let rendered = render(&scene, &geometry, &options, &mut |_| true).unwrap();
+            let layers = rendered.film.layers().iter().filter(|layer| layer.name() != "cost");
+            layers.flat_map(|layer| layer.values().iter().map(|v| v.to_bits())).collect::<Vec<u32>>()
+        };
+        let expected = picture("bvh", false);
+        let shadowed = picture("bvh", true);
+        assert_eq!(expected, shadowed);
+        for method in &SHADOW_METHODS[2..] {
+            assert_eq!(picture(method, false), expected, "{method}");
+            assert_eq!(picture(method, true), expected, "{method}, counted");
+        }
+    }
+}
