@@ -2,6 +2,7 @@
 
 pub mod brute;
 
+mod boxes;
 mod bvh;
 mod error;
 mod instances;
@@ -13,6 +14,7 @@ mod statistics;
 mod topology;
 mod traversal;
 
+pub use boxes::BoxBvh;
 pub use bvh::{Bvh, Hit};
 pub use error::BuildError;
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
