@@ -48,11 +48,7 @@ impl BoxBvh {
     ///
     /// `visit` returns where the segment ends from now on: the ray's `tfar`, or the `t` of the nearest hit so far (boxes
     /// that tie with it after rounding are still visited). A ray that is not [valid](Ray::is_valid) enters no box.
-    pub fn walk(
-        &self,
-        ray: &Ray,
-        visit: impl FnMut(u32) -> ControlFlow<(), f32>,
-    ) -> ControlFlow<()> {
+    pub fn walk(&self, ray: &Ray, visit: impl FnMut(u32) -> ControlFlow<(), f32>) -> ControlFlow<()> {
         self.back_end.run(WalkBoxes { bvh: self, ray, visit })
     }
 

@@ -1,6 +1,9 @@
 //! Ray differentials through camera, mirrors, glass and lights (Igehy 1999), and the footprint of a ray.
 
-use umbrage_geom::{Aabb, Ray, RayDifferential, glam::{DVec3, Vec3}};
+use umbrage_geom::{
+    Aabb, Ray, RayDifferential,
+    glam::{DVec3, Vec3},
+};
 
 /// Differentials of the ray that `eye`, a pinhole camera, sends through an image point, in direction `direction`.
 ///
@@ -14,7 +17,12 @@ pub fn camera_differential(right: impl Into<Vec3>, down: impl Into<Vec3>) -> Ray
 ///
 /// `d_normal` is the change of the unit normal from the point to those of the neighbours: the surface's curvature times
 /// `d_origin`, zero on a plane. `direction` is the ray's before reflection.
-pub fn reflect(differential: &RayDifferential, direction: Vec3, normal: Vec3, d_normal: [Vec3; 2]) -> RayDifferential {
+pub fn reflect(
+    differential: &RayDifferential,
+    direction: Vec3,
+    normal: Vec3,
+    d_normal: [Vec3; 2],
+) -> RayDifferential {
     let d_direction = [0, 1].map(|i| {
         let (d, dn) = (differential.d_direction[i], d_normal[i]);
         let change = d.dot(normal) + direction.dot(dn);
@@ -36,7 +44,7 @@ pub fn refract(
 ) -> Option<(Vec3, RayDifferential)> {
     let along = direction.dot(normal);
     let inside = 1.0 - eta * eta * (1.0 - along * along);
-    if !(inside > 0.0) {
+    if inside.is_nan() || inside <= 0.0 {
         return None;
     }
     // The refracted ray's component along the normal.

@@ -136,7 +136,7 @@ impl Grid {
         let cell = index as usize / 2;
         let columns = self.columns();
         let corner = cell % (columns - 1) + cell / (columns - 1) * columns;
-        if index % 2 == 0 {
+        if index.is_multiple_of(2) {
             [corner, corner + 1, corner + columns + 1]
         } else {
             [corner, corner + columns + 1, corner + columns]

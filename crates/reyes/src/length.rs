@@ -57,7 +57,11 @@ impl Patch {
             Lengths::Regular(speeds) => self.speeds(speeds).deviation(levels),
             Lengths::Irregular(known) => {
                 let at = self.level(&known[..], levels[0].max(levels[1]), context);
-                at.speeds.deviation(levels).max(if at.irregular.is_finite() { 0.25 * at.irregular } else { 0.0 })
+                at.speeds.deviation(levels).max(if at.irregular.is_finite() {
+                    0.25 * at.irregular
+                } else {
+                    0.0
+                })
             }
         }
     }
@@ -71,7 +75,8 @@ impl Patch {
 
     fn level(&self, known: &[OnceLock<Level>], level: u8, context: &TreeContext) -> Level {
         *known[level as usize].get_or_init(|| {
-            let before = if level > 0 { self.level(known, level - 1, context).speeds } else { Speeds::default() };
+            let before =
+                if level > 0 { self.level(known, level - 1, context).speeds } else { Speeds::default() };
             let mut found = Level { speeds: before, irregular: 0.0 };
             measure(&self.root, 0, level, context, &mut found);
             found
@@ -80,15 +85,22 @@ impl Patch {
 
     /// The coarsest levels along `u` and `v` at which no edge or diagonal is longer than `width`, at most `max_level`
     /// each; equal if `isotropic`. A width that is not positive gets `max_level`.
-    pub(crate) fn levels_for(&self, width: f64, max_level: u8, isotropic: bool, context: &TreeContext) -> [u8; 2] {
+    pub(crate) fn levels_for(
+        &self,
+        width: f64,
+        max_level: u8,
+        isotropic: bool,
+        context: &TreeContext,
+    ) -> [u8; 2] {
         let least = self.least_level();
         let max_level = max_level.max(least);
-        // Also for NaN.
-        if !(width > 0.0) {
+        if width.is_nan() || width <= 0.0 {
             return [max_level; 2];
         }
         match &self.lengths {
-            Lengths::Regular(speeds) if !isotropic => anisotropic(&self.speeds(speeds), width, least, max_level),
+            Lengths::Regular(speeds) if !isotropic => {
+                anisotropic(&self.speeds(speeds), width, least, max_level)
+            }
             _ => {
                 let level = (least..max_level).find(|&l| self.longest([l; 2], context) <= width);
                 [level.unwrap_or(max_level); 2]

@@ -1,10 +1,6 @@
 //! What a thread keeps between rays.
 
-use crate::{
-    TraceOptions, cache,
-    dice::GridKey,
-    grid::Grid,
-};
+use crate::{TraceOptions, cache, dice::GridKey, grid::Grid};
 use std::sync::Arc;
 
 /// Bytes of a large grid, roughly.
@@ -39,9 +35,11 @@ impl TraceState {
     }
 }
 
+type Recent = (GridKey, Arc<Grid>);
+
 /// A direct-mapped cache.
 pub(crate) struct RecentGrids {
-    slots: Box<[Option<(GridKey, Arc<Grid>)>]>,
+    slots: Box<[Option<Recent>]>,
 }
 
 impl RecentGrids {

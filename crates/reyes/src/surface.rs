@@ -102,7 +102,8 @@ pub struct LimitPoint {
 
 impl LimitPoint {
     pub(crate) fn new(position: Vec3, [du, dv]: [DVec3; 2]) -> Self {
-        Self { position, du, dv, normal: Vec3::ZERO }.with_normal(du.normalize_or_zero().cross(dv.normalize_or_zero()))
+        Self { position, du, dv, normal: Vec3::ZERO }
+            .with_normal(du.normalize_or_zero().cross(dv.normalize_or_zero()))
     }
 
     pub(crate) fn with_normal(self, normal: DVec3) -> Self {
@@ -407,7 +408,14 @@ impl<'a> Builder<'a> {
         (patches, limits)
     }
 
-    fn patch(&self, root: Node, face: usize, part: Option<u32>, corners: [u32; 4], links: [[Link; 2]; 4]) -> Patch {
+    fn patch(
+        &self,
+        root: Node,
+        face: usize,
+        part: Option<u32>,
+        corners: [u32; 4],
+        links: [[Link; 2]; 4],
+    ) -> Patch {
         let bounds = root.bounds;
         let lengths = Lengths::new(matches!(root.kind, Kind::Regular(_)));
         Patch { root, face: face as u32, part, corners, links, lengths, bounds }

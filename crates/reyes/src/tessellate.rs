@@ -101,7 +101,11 @@ impl Surface {
     pub fn longest_edge(&self, patch: u32, levels: [u8; 2]) -> Result<f64, SurfaceError> {
         if patch as usize >= self.patch_count() {
             let value = patch.into();
-            return Err(SurfaceError::Option { name: "patch", value, expected: "less than the number of patches" });
+            return Err(SurfaceError::Option {
+                name: "patch",
+                value,
+                expected: "less than the number of patches",
+            });
         }
         let level = levels[0].max(levels[1]);
         if level > MAX_LEVEL {

@@ -8,8 +8,8 @@ use crate::{
     grid::{Grid, GridRay},
     patch::{Node, QUARTERS},
     state::TraceState,
-    surface::{LimitPoint, SIZE},
     subdiv::NONE,
+    surface::{LimitPoint, SIZE},
 };
 use std::{
     ops::ControlFlow,
@@ -367,7 +367,8 @@ impl Query<'_, '_> {
     /// Makes room for border vertices that are stitched to places beyond the part.
     fn widen(&mut self, bounds: &mut Aabb, depth: u8, place: [u16; 2], seams: &mut Seams) {
         let surface = &self.tracer.surface;
-        let part = GridKey { patch: seams.patch, depth, levels: seams.levels, place, stitch: Stitch::default() };
+        let part =
+            GridKey { patch: seams.patch, depth, levels: seams.levels, place, stitch: Stitch::default() };
         for edge in 0..4 {
             if !part.touches(edge) {
                 continue;
@@ -410,7 +411,8 @@ impl Query<'_, '_> {
         });
         if *any {
             if grid.any_hit(ray) {
-                let hit = SurfaceHit { t: 0.0, patch: key.patch, u: 0.0, v: 0.0, levels: key.levels, front: true };
+                let hit =
+                    SurfaceHit { t: 0.0, patch: key.patch, u: 0.0, v: 0.0, levels: key.levels, front: true };
                 *closest = Some((hit, key, 0));
                 return true;
             }
@@ -422,7 +424,12 @@ impl Query<'_, '_> {
 }
 
 /// Updates `closest` with hits on `grid`. Ties go by key, so that the order of visits doesn't matter.
-fn closest_on(grid: &Grid, ray: &mut GridRay, key: GridKey, closest: &mut Option<(SurfaceHit, GridKey, u32)>) {
+fn closest_on(
+    grid: &Grid,
+    ray: &mut GridRay,
+    key: GridKey,
+    closest: &mut Option<(SurfaceHit, GridKey, u32)>,
+) {
     let Some(hit) = grid.closest_hit(ray) else { return };
     let rank = |key: &GridKey, triangle: u32| (key.patch, key.place[1], key.place[0], triangle);
     let nearer = closest.as_ref().is_none_or(|(old, old_key, triangle)| {

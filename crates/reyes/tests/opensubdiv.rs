@@ -85,12 +85,16 @@ fn refined_levels_are_those_of_opensubdiv() {
         for level in list("levels") {
             mesh = mesh.refine();
             let (points, centers) = read_level(&path.with_file_name(level["file"].as_str().unwrap()));
-            let ours: Vec<DVec3> =
-                mesh.faces().map(|f| f.iter().map(|&v| mesh.positions()[v as usize]).sum::<DVec3>() / 4.0).collect();
+            let ours: Vec<DVec3> = mesh
+                .faces()
+                .map(|f| f.iter().map(|&v| mesh.positions()[v as usize]).sum::<DVec3>() / 4.0)
+                .collect();
             assert_eq!(mesh.positions().len(), points.len(), "{name}");
             assert_eq!(ours.len(), centers.len(), "{name}");
             let cell = 2.0 * tolerance;
-            for (what, a, b) in [("points", mesh.positions(), &points[..]), ("faces", &ours[..], &centers[..])] {
+            for (what, a, b) in
+                [("points", mesh.positions(), &points[..]), ("faces", &ours[..], &centers[..])]
+            {
                 let worst = distance(a, b, cell).max(distance(b, a, cell));
                 assert!(worst <= tolerance, "{name} {}: {what} off by {worst}", level["file"]);
             }

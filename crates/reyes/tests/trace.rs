@@ -5,7 +5,7 @@ mod common;
 use common::{cube, sheet, zoo};
 use proptest::prelude::*;
 use std::sync::Arc;
-use umbrage_accel::{Bvh, BuildOptions};
+use umbrage_accel::{BuildOptions, Bvh};
 use umbrage_geom::{PolygonMesh, Ray, RayDifferential, glam::Vec3};
 use umbrage_reyes::{
     Borders, FootprintRule, Rates, Surface, SurfaceError, SurfaceHit, SurfaceOptions, SurfaceTracer,
@@ -121,7 +121,9 @@ fn equal_rates_give_the_tessellation() {
                 if let (Some(hit), Some(expected)) = (hit, expected) {
                     hits += 1;
                     assert!(hit.front == expected.front && hit.levels == [level; 2]);
-                    if bvh.closest_hit(&ray.with_tfar(hit.t)).is_none() && hit.patch != patches[expected.prim_index as usize] {
+                    if bvh.closest_hit(&ray.with_tfar(hit.t)).is_none()
+                        && hit.patch != patches[expected.prim_index as usize]
+                    {
                         // A tie on an edge between two patches.
                         continue;
                     }

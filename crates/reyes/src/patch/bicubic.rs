@@ -101,13 +101,13 @@ impl Bicubic {
 
     /// The halves `u < 1/2` and `u > 1/2`, each over `[0, 1] x [0, 1]` again.
     pub fn split_u(&self) -> [Self; 2] {
-        let rows = self.points.map(|row| split_curve(row));
+        let rows = self.points.map(split_curve);
         [0, 1].map(|side| Self { points: [0, 1, 2, 3].map(|j| rows[j][side]) })
     }
 
     /// The halves `v < 1/2` and `v > 1/2`.
     pub fn split_v(&self) -> [Self; 2] {
-        let columns = self.transposed().points.map(|column| split_curve(column));
+        let columns = self.transposed().points.map(split_curve);
         [0, 1].map(|side| Self { points: [0, 1, 2, 3].map(|i| columns[i][side]) }.transposed())
     }
 
@@ -166,12 +166,10 @@ impl Bicubic {
                 worst.bends[1] = worst.bends[1].max((along[1] - along[0]).length());
             }
         }
-        for k in 0..4 {
-            for i in 1..3 {
-                let bend = |before: DVec3, at: DVec3, after: DVec3| (before - 2.0 * at + after).length();
-                worst.bends[0] = worst.bends[0].max(bend(p[k][i - 1], p[k][i], p[k][i + 1]));
-                worst.bends[2] = worst.bends[2].max(bend(p[i - 1][k], p[i][k], p[i + 1][k]));
-            }
+        let bend = |p: [DVec3; 3]| (p[0] - 2.0 * p[1] + p[2]).length();
+        for (i, j) in (0..4).flat_map(|j| [(0, j), (1, j)]) {
+            worst.bends[0] = worst.bends[0].max(bend([p[j][i], p[j][i + 1], p[j][i + 2]]));
+            worst.bends[2] = worst.bends[2].max(bend([p[i][j], p[i + 1][j], p[i + 2][j]]));
         }
         worst
     }

@@ -288,7 +288,11 @@ impl Node {
                     };
                     let position = ring.limit(corner, context.method).as_vec3();
                     let point = LimitPoint::new(position, [du, dv]);
-                    return if point.normal == Vec3::ZERO { point.with_normal(self.chord_normal()) } else { point };
+                    return if point.normal == Vec3::ZERO {
+                        point.with_normal(self.chord_normal())
+                    } else {
+                        point
+                    };
                 }
             }
             Kind::Forked => {}

@@ -82,7 +82,8 @@ impl Ring {
         );
         let (next, next_own) = self.around_edge(k, fine, false);
         let (previous, previous_own) = self.around_edge(c, fine, true);
-        let mut corners: [(Fan, usize); 4] = [k, a, b, c].map(|_| (Fan::closed(middle, [(middle, 0.0, middle); 4]), 0));
+        let mut corners: [(Fan, usize); 4] =
+            [k, a, b, c].map(|_| (Fan::closed(middle, [(middle, 0.0, middle); 4]), 0));
         corners[k] = (fine[k].clone(), self.own[k]);
         corners[a] = (next, next_own);
         corners[b] = (around_middle, 0);
@@ -186,13 +187,11 @@ impl Ring {
             }
         }
         let beyond = |near: DVec3, far: DVec3| 2.0 * near - far;
-        for i in 0..4 {
-            if sides[0] == Side::Sharp {
-                net[0][i] = beyond(net[1][i], net[2][i]);
-            }
-            if sides[2] == Side::Sharp {
-                net[3][i] = beyond(net[2][i], net[1][i]);
-            }
+        if sides[0] == Side::Sharp {
+            net[0] = [0, 1, 2, 3].map(|i| beyond(net[1][i], net[2][i]));
+        }
+        if sides[2] == Side::Sharp {
+            net[3] = [0, 1, 2, 3].map(|i| beyond(net[2][i], net[1][i]));
         }
         for row in &mut net {
             if sides[3] == Side::Sharp {

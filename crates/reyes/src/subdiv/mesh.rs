@@ -143,7 +143,8 @@ impl SubdivisionMesh {
         method: CreaseMethod,
     ) -> Result<Self, SurfaceError> {
         let runs = starts.windows(2).enumerate();
-        let face_of = runs.flat_map(|(f, run)| std::iter::repeat_n(f as u32, (run[1] - run[0]) as usize)).collect();
+        let face_of =
+            runs.flat_map(|(f, run)| std::iter::repeat_n(f as u32, (run[1] - run[0]) as usize)).collect();
         let mut mesh = Self {
             first: vec![NONE; positions.len()],
             twins: vec![NONE; corners.len()],

@@ -5,8 +5,8 @@ mod mesh;
 mod rules;
 
 pub(crate) use fan::{Fan, Spoke};
-pub use mesh::SubdivisionMesh;
 pub(crate) use mesh::NONE;
+pub use mesh::SubdivisionMesh;
 pub use rules::{BoundaryRule, CreaseMethod, INFINITE_SHARPNESS};
 
 /// Most faces around a vertex, and most corners of a face.
