@@ -5,6 +5,7 @@ mod anyhit;
 mod embree;
 mod entry;
 mod peer;
+mod reyes;
 mod rows;
 mod scenes;
 mod stability;
@@ -16,7 +17,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit, stability.
+    /// Suite: anyhit, stability, reyes.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -52,6 +53,10 @@ fn main() -> Result<()> {
             let Arguments { quick, peers, only, .. } = arguments;
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
-        other => bail!("unknown suite '{other}', expected anyhit or stability"),
+        "reyes" => {
+            let Arguments { quick, only, .. } = arguments;
+            reyes::run(&reyes::Options { quick, only }, &mut output)
+        }
+        other => bail!("unknown suite '{other}', expected anyhit, stability or reyes"),
     }
 }

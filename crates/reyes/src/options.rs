@@ -14,6 +14,18 @@ pub enum FootprintRule {
     FinalApproach,
     /// Where it enters the first of the patch's parts, split while that lowers the rate ([Djeu11], section 6.9).
     ExactFinalApproach,
+    /// By the edges of the patch, each at the place of the ray nearest to it (Owens et al. 2002): as many segments as their
+    /// length in footprints. The inside of a patch is divided as its edges are and meets no threshold. Neighbours agree on
+    /// their edge whatever [`Borders`] says.
+    Edges,
+    /// The same with lengths as the ray sees them, across its direction: an edge along the ray counts for nothing.
+    ProjectedEdges,
+}
+
+impl FootprintRule {
+    pub(crate) fn is_by_edges(self) -> bool {
+        matches!(self, Self::Edges | Self::ProjectedEdges)
+    }
 }
 
 /// What happens between patches of different rates.

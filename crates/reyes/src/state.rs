@@ -16,6 +16,8 @@ const MEMO: usize = 64;
 pub struct TraceState {
     pub(crate) grids: RecentGrids,
     pub(crate) levels: LevelMemo,
+    /// Patches to try, the next one last.
+    pub(crate) deferred: Vec<u32>,
 }
 
 impl TraceState {
@@ -23,7 +25,11 @@ impl TraceState {
     pub fn new(options: &TraceOptions) -> Self {
         let count = (options.cache_bytes / (16 * GRID_BYTES)).clamp(1, MOST_GRIDS);
         let count = if count.is_power_of_two() { count } else { count.next_power_of_two() / 2 };
-        Self { grids: RecentGrids { slots: vec![None; count].into() }, levels: LevelMemo::default() }
+        Self {
+            grids: RecentGrids { slots: vec![None; count].into() },
+            levels: LevelMemo::default(),
+            deferred: Vec::new(),
+        }
     }
 
     /// A new ray begins.

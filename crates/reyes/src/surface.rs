@@ -6,7 +6,10 @@ use crate::{
     patch::{Kind, Node, Ring, TreeContext},
     subdiv::{BoundaryRule, CreaseMethod, NONE, SubdivisionMesh},
 };
-use std::{collections::HashMap, sync::atomic::Ordering::Relaxed};
+use std::{
+    collections::HashMap,
+    sync::{OnceLock, atomic::Ordering::Relaxed},
+};
 use umbrage_geom::{
     Aabb, PolygonMesh,
     glam::{DVec3, Vec2, Vec3},
@@ -38,7 +41,7 @@ impl Default for SurfaceOptions {
             boundary: BoundaryRule::default(),
             creases: CreaseMethod::default(),
             bounds: Bounds::default(),
-            tight_levels: 0,
+            tight_levels: 1,
             tree_bytes: 256 << 20,
         }
     }
@@ -143,6 +146,8 @@ pub(crate) struct Patch {
     pub(crate) links: [[Link; 2]; 4],
     pub(crate) lengths: Lengths,
     pub(crate) bounds: Aabb,
+    /// See [`Surface::edge_points`].
+    edge_points: [OnceLock<[Vec3; 5]>; 4],
 }
 
 /// Numbers of Reyes operations done on a surface ([Djeu11], section 5.4); see also [`crate::TraceCounts`].
@@ -297,6 +302,12 @@ impl Surface {
         self.corner_limits[self.patches[patch as usize].corners[k % 4] as usize]
     }
 
+    /// Points at quarters of an edge.
+    pub(crate) fn edge_points(&self, patch: u32, edge: usize) -> [Vec3; 5] {
+        let known = &self.patches[patch as usize].edge_points[edge];
+        *known.get_or_init(|| [0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (SIZE / 4))))
+    }
+
     /// The point at `s` of [`SIZE`] along an edge: the same bits from both sides.
     pub(crate) fn edge_position(&self, patch: u32, edge: usize, s: u32) -> Vec3 {
         let own = &self.patches[patch as usize];
@@ -418,7 +429,16 @@ impl<'a> Builder<'a> {
     ) -> Patch {
         let bounds = root.bounds;
         let lengths = Lengths::new(matches!(root.kind, Kind::Regular(_)));
-        Patch { root, face: face as u32, part, corners, links, lengths, bounds }
+        Patch {
+            root,
+            face: face as u32,
+            part,
+            corners,
+            links,
+            lengths,
+            bounds,
+            edge_points: Default::default(),
+        }
     }
 
     fn set_limits(&self, ring: &Ring, corners: &[u32; 4], limits: &mut [Vec3]) {

@@ -9,7 +9,7 @@ use crate::{
     patch::{Node, QUARTERS},
     state::TraceState,
     subdiv::NONE,
-    surface::{LimitPoint, SIZE},
+    surface::{LimitPoint, Meeting, SIZE},
 };
 use std::{
     ops::ControlFlow,
@@ -140,7 +140,31 @@ impl SurfaceTracer {
         self.query(ray, differential, state, false)?.closest.map(|(hit, ..)| hit)
     }
 
-    fn query<'a, 's>(
+    /// [`Self::any_hit`] with the patches nearest to the segment's end tried first ([Djeu11], section 6.15, the deferment
+    /// list): an occluder there, where a diverging ray is wide, spares the fine rates near the origin.
+    ///
+    /// The answer is that of [`Self::any_hit`].
+    pub fn any_hit_deferred(
+        &self,
+        ray: &Ray,
+        differential: &RayDifferential,
+        state: &mut TraceState,
+    ) -> bool {
+        let mut deferred = std::mem::take(&mut state.deferred);
+        deferred.clear();
+        let _ = self.bvh.walk(ray, |patch| {
+            deferred.push(patch);
+            ControlFlow::Continue(ray.tfar)
+        });
+        let hit = self.start(ray, differential, state, true).is_some_and(|mut query| {
+            // Last in, first out.
+            deferred.iter().rev().any(|&patch| query.patch(patch))
+        });
+        state.deferred = deferred;
+        hit
+    }
+
+    fn start<'a, 's>(
         &'a self,
         ray: &Ray,
         differential: &RayDifferential,
@@ -150,7 +174,17 @@ impl SurfaceTracer {
         let whole = GridRay::new(ray)?;
         let width = Width::new(ray, differential, self.options.edge.into());
         state.begin();
-        let mut query = Query { tracer: self, whole, ray: whole, width, state, any, closest: None };
+        Some(Query { tracer: self, whole, ray: whole, width, state, any, closest: None })
+    }
+
+    fn query<'a, 's>(
+        &'a self,
+        ray: &Ray,
+        differential: &RayDifferential,
+        state: &'s mut TraceState,
+        any: bool,
+    ) -> Option<Query<'a, 's>> {
+        let mut query = self.start(ray, differential, state, any)?;
         let _ = self.bvh.walk(ray, |patch| {
             if query.patch(patch) && any {
                 return ControlFlow::Break(());
@@ -180,6 +214,11 @@ impl SurfaceTracer {
                 self.levels_for(patch, width)
             }
             FootprintRule::ExactFinalApproach => self.exact_approach(patch, ray, width, interval),
+            FootprintRule::Edges | FootprintRule::ProjectedEdges => {
+                let [bottom, right, top, left] =
+                    [0, 1, 2, 3].map(|edge| self.edge_level(patch, edge, ray, width));
+                [bottom.max(top), right.max(left)]
+            }
         })
     }
 
@@ -187,6 +226,40 @@ impl SurfaceTracer {
         let isotropic = self.options.rates == Rates::Equal;
         let Surface { patches, context, .. } = &*self.surface;
         patches[patch as usize].levels_for(width, self.options.max_level, isotropic, context)
+    }
+
+    /// The rate of an edge as the ray sees it: the same for both patches, in levels of the patch.
+    fn edge_level(&self, patch: u32, edge: usize, ray: &GridRay, width: &Width) -> u8 {
+        let own = &self.surface.patches[patch as usize];
+        let link = own.links[edge][0];
+        match link.meeting {
+            // Halves of an edge agree with the whole.
+            Meeting::OwnIsHalf { .. } if link.patch != NONE => {
+                return self.edge_level(link.patch, usize::from(link.edge), ray, width).max(1) - 1;
+            }
+            _ => {}
+        }
+        let d = ray.ray.direction.as_dvec3();
+        let along = d / d.length_squared();
+        let origin = ray.ray.origin.as_dvec3();
+        let points = self.surface.edge_points(patch, edge).map(|p| p.as_dvec3());
+        let least = own.least_level();
+        let projected = self.options.footprint == FootprintRule::ProjectedEdges;
+        let segments = [0, 1, 2, 3].map(|i| points[i + 1] - points[i]);
+        let longest = segments.map(|s| if projected { (s - s.dot(along) * d).length() } else { s.length() });
+        let longest = longest.into_iter().fold(0.0, f64::max) * segments.len() as f64;
+        // The narrowest footprint beside the edge.
+        let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
+        for p in points {
+            let t = (p - origin).dot(along).clamp(ray.ray.tnear.into(), ray.ray.tfar.into());
+            (from, to) = (from.min(t), to.max(t));
+        }
+        let width = width.least(from, to);
+        if width.is_nan() || width <= 0.0 {
+            return self.options.max_level.max(least);
+        }
+        let fits = |&l: &u8| longest * 0.5f64.powi(l.into()) <= width;
+        (least..self.options.max_level.max(least)).find(fits).unwrap_or(self.options.max_level.max(least))
     }
 
     /// Where the ray meets the two triangles between the corners of a patch.
@@ -315,6 +388,9 @@ impl Query<'_, '_> {
         let links = tracer.surface.patches[seams.patch as usize].links[edge];
         let own = seams.levels[edge % 2];
         let mut shifts = links.map(|link| {
+            if tracer.options.footprint.is_by_edges() {
+                return own.saturating_sub(tracer.edge_level(seams.patch, edge, &self.whole, &self.width));
+            }
             if link.patch == NONE || tracer.options.borders == Borders::Open {
                 return 0;
             }
@@ -392,7 +468,7 @@ impl Query<'_, '_> {
         let tracer = self.tracer;
         let mut key =
             GridKey { patch: seams.patch, depth, levels: seams.levels, place, stitch: Stitch::default() };
-        if tracer.options.borders == Borders::Stitched {
+        if tracer.options.borders == Borders::Stitched || tracer.options.footprint.is_by_edges() {
             for edge in 0..4 {
                 if key.touches(edge) {
                     let shifts = self.shifts(seams, edge);

@@ -25,7 +25,13 @@ fn camera_ray(eye: Vec3, target: Vec3, spread: f32) -> (Ray, RayDifferential) {
 }
 
 fn wild_tracers(mesh: &PolygonMesh) -> Vec<SurfaceTracer> {
-    let rules = [FootprintRule::Entry, FootprintRule::FinalApproach, FootprintRule::ExactFinalApproach];
+    let rules = [
+        FootprintRule::Entry,
+        FootprintRule::FinalApproach,
+        FootprintRule::ExactFinalApproach,
+        FootprintRule::Edges,
+        FootprintRule::ProjectedEdges,
+    ];
     rules
         .iter()
         .flat_map(|&rule| {

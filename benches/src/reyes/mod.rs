@@ -1,0 +1,36 @@
+//! Suite `reyes`: subdivision surfaces by ray footprint, as in Djeu 2011, chapter 6, and beyond.
+
+mod cracks;
+mod figures;
+mod frame;
+mod scenes;
+mod study;
+
+use crate::rows::{Output, note};
+use anyhow::Result;
+
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Smaller images, fewer passes.
+    pub quick: bool,
+    /// Only scenes whose name contains this.
+    pub only: Option<String>,
+}
+
+/// Runs the suite.
+///
+/// # Errors
+/// If a mesh can't be read or a row not written.
+pub fn run(options: &Options, output: &mut Output) -> Result<()> {
+    for scene in scenes::all()? {
+        if options.only.as_ref().is_none_or(|only| scene.name.contains(only.as_str())) {
+            note(scene.name);
+            let level = if scene.control.face_sizes.len() < 100 { 8 } else { 4 };
+            let reference = frame::Reference::new(&scene, level)?;
+            figures::run(&scene, options.quick, &reference, output)?;
+            study::run(&scene, options.quick, &reference, output)?;
+        }
+    }
+    Ok(())
+}
