@@ -40,8 +40,8 @@ pub fn count(scene: &Scene, method: &Method, reference: &Reference, views: u32, 
             let pixel =
                 differential.footprint(t).map(|edge| edge.length()).into_iter().fold(f32::MAX, f32::min);
             let error = hit.map_or(f32::INFINITY, |hit| (hit.t - t).abs() * ray.direction.length() / pixel);
-            // Far enough off to be another layer of the surface, and no silhouette.
-            if error > 8.0 && is_smooth_around(&view, reference, x, y, t) {
+            // A ray that slips through sees the inside, or nothing.
+            if hit.is_none_or(|hit| !hit.front) && is_smooth_around(&view, reference, x, y, t) {
                 found.cracks += 1;
             } else if facing > 0.3
                 && error.is_finite()

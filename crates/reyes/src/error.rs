@@ -99,6 +99,9 @@ pub enum SurfaceError {
         /// What it may be.
         expected: &'static str,
     },
+    /// The progress callback stopped the call.
+    #[error("cancelled")]
+    Cancelled,
     /// The hierarchy over patches could not be built.
     #[error(transparent)]
     Build(#[from] BuildError),

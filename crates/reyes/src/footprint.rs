@@ -128,3 +128,93 @@ impl Width {
         [t0, t1.max(t0)]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use umbrage_geom::glam::DVec3;
+
+    const H: f32 = 1e-3;
+
+    /// Directions and points of three neighbouring rays that leave a sphere of radius 2, mirrored or refracted exactly.
+    fn traced(bend: impl Fn(DVec3, DVec3) -> DVec3, dx: f64, dy: f64) -> (DVec3, DVec3) {
+        let origin = DVec3::new(0.3, 0.2, 6.0);
+        let d = DVec3::new(-0.02 + dx, 0.05 + dy, -1.0).normalize();
+        let (b, c) = (origin.dot(d), origin.length_squared() - 4.0);
+        let p = origin + (-b - (b * b - c).sqrt()) * d;
+        (p, bend(d, p / 2.0))
+    }
+
+    fn mirrored(d: DVec3, n: DVec3) -> DVec3 {
+        d - 2.0 * d.dot(n) * n
+    }
+
+    fn refracted(d: DVec3, n: DVec3) -> DVec3 {
+        let eta = 1.0 / 1.5;
+        let along = d.dot(n);
+        eta * d - (eta * along + (1.0 - eta * eta * (1.0 - along * along)).sqrt()) * n
+    }
+
+    #[test]
+    fn differentials_are_those_of_neighbouring_rays() {
+        // Normalized directions change by their part across the ray.
+        let d = DVec3::new(-0.02, 0.05, -1.0);
+        let unit = d.normalize();
+        let across = |e: DVec3| ((e - unit * e.dot(unit)) / d.length() * f64::from(H)).as_vec3();
+        let start = camera_differential(across(DVec3::X), across(DVec3::Y));
+        let ray = Ray::new([0.3, 0.2, 6.0], unit.as_vec3());
+        let (p, _) = traced(mirrored, 0.0, 0.0);
+        let normal = (p / 2.0).as_vec3();
+        let t = (p - DVec3::new(0.3, 0.2, 6.0)).length() as f32;
+        let on_surface = start.transfer(&ray, t, normal);
+        let d_normal = on_surface.d_origin.map(|d| d / 2.0);
+        let reflection = reflect(&on_surface, ray.direction, normal, d_normal);
+        let (direction, refraction) =
+            refract(&on_surface, ray.direction, normal, d_normal, 1.0 / 1.5).expect("into the denser medium");
+        assert!(direction.as_dvec3().abs_diff_eq(traced(refracted, 0.0, 0.0).1, 1e-6));
+        let check = |bend: fn(DVec3, DVec3) -> DVec3, ours: &RayDifferential| {
+            for (i, (dx, dy)) in [(H, 0.0), (0.0, H)].into_iter().enumerate() {
+                let (p0, d0) = traced(bend, 0.0, 0.0);
+                let (p1, d1) = traced(bend, dx.into(), dy.into());
+                assert!((p1 - p0).as_vec3().distance(ours.d_origin[i]) < 0.01 * H, "origin {i}");
+                assert!((d1 - d0).as_vec3().distance(ours.d_direction[i]) < 0.02 * H, "direction {i}");
+            }
+        };
+        check(mirrored, &reflection);
+        check(refracted, &refraction);
+    }
+
+    #[test]
+    fn total_reflection_has_no_refracted_ray() {
+        let d = Vec3::new(0.9, 0.0, -0.19f32.sqrt());
+        let flat = RayDifferential::default();
+        assert!(refract(&flat, d, Vec3::Z, [Vec3::ZERO; 2], 1.5).is_none());
+        assert!(refract(&flat, d, Vec3::Z, [Vec3::ZERO; 2], f32::NAN).is_none());
+        assert!(refract(&flat, d, Vec3::Z, [Vec3::ZERO; 2], 1.0 / 1.5).is_some());
+    }
+
+    #[test]
+    fn widths_are_least_at_entry_exit_or_focus() {
+        let ray = Ray::new([0.0; 3], [0.0, 0.0, 1.0]);
+        let width = |from: f32, slope: f32| {
+            let d = RayDifferential {
+                d_origin: [Vec3::X * from, Vec3::Y * 10.0],
+                d_direction: [Vec3::X * slope, Vec3::ZERO],
+            };
+            Width::new(&ray, &d, 1.0).least(2.0, 4.0)
+        };
+        assert_eq!(width(0.0, 1.0), 2.0);
+        assert_eq!(width(6.0, -1.0), 2.0);
+        assert_eq!(width(3.0, -1.0), 0.0);
+        assert_eq!(width(1.0, 0.0), 1.0);
+        assert!(width(f32::NAN, 0.0).is_nan());
+        // Shadow rays: as wide as the pixel at the point, as the stratum at the light, and backwards.
+        let (point, light) = ([Vec3::X * 0.5, Vec3::Y], [Vec3::X * 2.0, Vec3::Y * 3.0]);
+        let there = light_differential(point, light);
+        let back = light_differential(light, point);
+        for t in [0.0, 0.25, 1.0] {
+            assert_eq!(there.footprint(t), back.footprint(1.0 - t));
+        }
+        assert_eq!(there.footprint(1.0), light);
+    }
+}

@@ -9,6 +9,11 @@ use std::sync::OnceLock;
 /// Most levels of refinement: a patch is diced into at most `2^12 x 2^12` cells.
 pub const MAX_LEVEL: u8 = 12;
 
+/// `2^-level`.
+pub(crate) fn cell(level: u8) -> f64 {
+    f64::from_bits((1023 - u64::from(level)) << 52)
+}
+
 /// Splits after which differences of control points bound derivatives; 2 leaves a few percent on curved patches.
 const SPLITS: u32 = 2;
 
@@ -120,14 +125,12 @@ impl Patch {
 
 /// The fewest cells, at most eight times as many along one parameter as along the other.
 fn anisotropic(speeds: &Speeds, width: f64, least: u8, max_level: u8) -> [u8; 2] {
-    let alone = |speed: f64| {
-        (least..max_level).find(|&l| speed * 0.5f64.powi(l.into()) <= width).unwrap_or(max_level)
-    };
+    let alone = |speed: f64| (least..max_level).find(|&l| speed * cell(l) <= width).unwrap_or(max_level);
     let mut levels = [alone(speeds.u), alone(speeds.v)];
     let shortest = levels[0].max(levels[1]).saturating_sub(3);
     levels = levels.map(|l| l.max(shortest));
     while speeds.longest(levels) > width && levels != [max_level; 2] {
-        let steps = [speeds.u * 0.5f64.powi(levels[0].into()), speeds.v * 0.5f64.powi(levels[1].into())];
+        let steps = [speeds.u * cell(levels[0]), speeds.v * cell(levels[1])];
         let longer = usize::from(steps[1] > steps[0]);
         let axis = if levels[longer] < max_level { longer } else { 1 - longer };
         levels[axis] += 1;

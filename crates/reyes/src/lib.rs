@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod bucket;
 mod cache;
 mod dice;
 mod error;
@@ -15,6 +16,7 @@ mod surface;
 mod tessellate;
 mod trace;
 
+pub use bucket::{BucketOptions, Fragment, RasterCamera, rasterize};
 pub use error::SurfaceError;
 pub use footprint::{camera_differential, light_differential, reflect, refract};
 pub use length::MAX_LEVEL;

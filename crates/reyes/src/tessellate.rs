@@ -4,10 +4,11 @@ use crate::{
     Surface, SurfaceError,
     dice::{GridKey, Stitch},
     length::MAX_LEVEL,
+    patch::{Children, quarter_at},
     subdiv::NONE,
-    surface::Meeting,
+    surface::{Meeting, SIZE},
 };
-use umbrage_geom::{MeshError, TriangleMesh, mesh::MAX_ELEMENTS};
+use umbrage_geom::{Aabb, MeshError, TriangleMesh, mesh::MAX_ELEMENTS};
 
 impl Surface {
     /// The surface as triangles, each patch divided into `2^levels` cells along `u` and `v`, `levels` from `levels_of` and
@@ -33,7 +34,8 @@ impl Surface {
         }
         let mut mesh = TriangleMesh::default();
         let mut patches = Vec::new();
-        for key in self.parts(&levels) {
+        let all = 0..self.patch_count() as u32;
+        for key in all.flat_map(|patch| self.parts_of(patch, &levels)) {
             let grid = self.dice(&key);
             let base = mesh.positions.len() as u32;
             mesh.positions.extend(grid.positions().iter().map(|p| p.to_array()));
@@ -45,22 +47,62 @@ impl Surface {
         Ok((mesh, patches))
     }
 
-    /// Keys of all grids when patches have the given levels, borders stitched.
-    pub(crate) fn parts<'a>(&'a self, levels: &'a [[u8; 2]]) -> impl Iterator<Item = GridKey> + 'a {
-        levels.iter().enumerate().flat_map(move |(patch, &own)| {
-            let shifts = [0, 1, 2, 3].map(|edge| self.static_shifts(patch, edge, levels));
-            let depth = GridKey::depth_for(own);
-            let side = 1u16 << depth;
-            (0..side).flat_map(move |y| (0..side).map(move |x| [x, y])).map(move |place| {
-                let mut key =
-                    GridKey { patch: patch as u32, depth, levels: own, place, stitch: Stitch::default() };
-                for (edge, shifts) in shifts.iter().enumerate() {
-                    if key.touches(edge) {
-                        key.stitch = key.stitch.with(edge, key.half_of(edge, *shifts));
-                    }
+    /// Keys of the grids of a patch when all patches have the given levels, borders stitched.
+    pub(crate) fn parts_of(&self, patch: u32, levels: &[[u8; 2]]) -> impl Iterator<Item = GridKey> + use<> {
+        let own = levels[patch as usize];
+        let shifts = [0, 1, 2, 3].map(|edge| self.static_shifts(patch as usize, edge, levels));
+        let depth = GridKey::depth_for(own);
+        let side = 1u16 << depth;
+        (0..side).flat_map(move |y| (0..side).map(move |x| [x, y])).map(move |place| {
+            let mut key = GridKey { patch, depth, levels: own, place, stitch: Stitch::default() };
+            for (edge, shifts) in shifts.iter().enumerate() {
+                if key.touches(edge) {
+                    key.stitch = key.stitch.with(edge, key.half_of(edge, *shifts));
                 }
-                key
-            })
+            }
+            key
+        })
+    }
+
+    pub(crate) fn least_level(&self, patch: u32) -> u8 {
+        self.patches[patch as usize].least_level()
+    }
+
+    /// Anisotropic levels at which no edge is longer than `width`.
+    pub(crate) fn levels_for(&self, patch: u32, width: f64, max_level: u8) -> [u8; 2] {
+        self.patches[patch as usize].levels_for(width, max_level, false, &self.context)
+    }
+
+    /// A box around the grid of `key`.
+    pub(crate) fn part_bounds(&self, key: &GridKey) -> Aabb {
+        let mut place = (&self.patches[key.patch as usize].root, key.depth);
+        let mut bounds = place.0.bounds;
+        // Down the tree; a part made for the occasion can't be followed, so its parent's box stands in.
+        while place.1 > 0 {
+            let shift = place.1 - 1;
+            let [a, b] = key.place.map(|x| x >> shift & 1 == 1);
+            let Children::Stored(children) = place.0.split(&self.context) else { break };
+            place = (&children[quarter_at(a, b)], shift);
+            bounds = place.0.bounds;
+        }
+        for edge in 0..4 {
+            let shift = key.stitch.get(edge).into_iter().max().unwrap_or(0);
+            if shift + key.depth > key.levels[edge % 2] {
+                bounds = bounds.union(self.stitched_ends(key, edge, shift));
+            }
+        }
+        bounds
+    }
+
+    /// The box around the two vertices between which the border of a part lies when its edge is coarser by `shift` levels.
+    pub(crate) fn stitched_ends(&self, part: &GridKey, edge: usize, shift: u8) -> Aabb {
+        let axis = edge % 2;
+        let (corner, size) = part.corner();
+        let step = SIZE >> (part.levels[axis] - shift);
+        let ends = [corner[axis] / step * step, (corner[axis] + size).div_ceil(step) * step];
+        ends.into_iter().fold(Aabb::EMPTY, |bounds, at| {
+            let s = if edge < 2 { at } else { SIZE - at };
+            bounds.with_point(self.edge_position(part.patch, edge, s))
         })
     }
 

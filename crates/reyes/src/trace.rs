@@ -9,7 +9,7 @@ use crate::{
     patch::{Node, QUARTERS},
     state::TraceState,
     subdiv::NONE,
-    surface::{LimitPoint, Meeting, SIZE},
+    surface::{LimitPoint, Meeting},
 };
 use std::{
     ops::ControlFlow,
@@ -222,6 +222,11 @@ impl SurfaceTracer {
         })
     }
 
+    /// Whether borders are moved to where neighbours have vertices.
+    fn has_seams(&self) -> bool {
+        self.options.borders == Borders::Stitched || self.options.footprint.is_by_edges()
+    }
+
     fn levels_for(&self, patch: u32, width: f64) -> [u8; 2] {
         let isotropic = self.options.rates == Rates::Equal;
         let Surface { patches, context, .. } = &*self.surface;
@@ -258,7 +263,7 @@ impl SurfaceTracer {
         if width.is_nan() || width <= 0.0 {
             return self.options.max_level.max(least);
         }
-        let fits = |&l: &u8| longest * 0.5f64.powi(l.into()) <= width;
+        let fits = |&l: &u8| longest * crate::length::cell(l) <= width;
         (least..self.options.max_level.max(least)).find(fits).unwrap_or(self.options.max_level.max(least))
     }
 
@@ -391,7 +396,7 @@ impl Query<'_, '_> {
             if tracer.options.footprint.is_by_edges() {
                 return own.saturating_sub(tracer.edge_level(seams.patch, edge, &self.whole, &self.width));
             }
-            if link.patch == NONE || tracer.options.borders == Borders::Open {
+            if link.patch == NONE {
                 return 0;
             }
             let Some(theirs) = self.levels(link.patch) else { return 0 };
@@ -417,10 +422,15 @@ impl Query<'_, '_> {
         let mut entered = [(0f32, 0usize); 4];
         let mut count = 0;
         for (k, child) in children.iter().enumerate() {
-            let place = quarter_place(place, k);
-            let mut bounds = child.bounds;
-            self.widen(&mut bounds, depth + 1, place, seams);
-            let Some(entry) = self.ray.slab.entry(&bounds, self.ray.slab.tfar) else { continue };
+            let mut entry = self.ray.slab.entry(&child.bounds, self.ray.slab.tfar);
+            if entry.is_none() && tracer.has_seams() {
+                let mut bounds = child.bounds;
+                self.widen(&mut bounds, depth + 1, quarter_place(place, k), seams);
+                if bounds != child.bounds {
+                    entry = self.ray.slab.entry(&bounds, self.ray.slab.tfar);
+                }
+            }
+            let Some(entry) = entry else { continue };
             let mut at = count;
             while at > 0 && entered[at - 1].0 > entry {
                 entered[at] = entered[at - 1];
@@ -454,13 +464,7 @@ impl Query<'_, '_> {
             if shift + depth <= seams.levels[axis] {
                 continue;
             }
-            let ([u0, v0], size) = part.corner();
-            let step = SIZE >> (seams.levels[axis] - shift);
-            let start = [u0, v0][axis];
-            for at in [start / step * step, (start + size).div_ceil(step) * step] {
-                let s = if edge < 2 { at } else { SIZE - at };
-                *bounds = bounds.with_point(surface.edge_position(seams.patch, edge, s));
-            }
+            *bounds = bounds.union(surface.stitched_ends(&part, edge, shift));
         }
     }
 
@@ -468,7 +472,7 @@ impl Query<'_, '_> {
         let tracer = self.tracer;
         let mut key =
             GridKey { patch: seams.patch, depth, levels: seams.levels, place, stitch: Stitch::default() };
-        if tracer.options.borders == Borders::Stitched || tracer.options.footprint.is_by_edges() {
+        if tracer.has_seams() {
             for edge in 0..4 {
                 if key.touches(edge) {
                     let shifts = self.shifts(seams, edge);
@@ -515,8 +519,8 @@ fn closest_on(
         let found = SurfaceHit {
             t: hit.t,
             patch: key.patch,
-            u: hit.u.clamp(0.0, 1.0),
-            v: hit.v.clamp(0.0, 1.0),
+            u: hit.u,
+            v: hit.v,
             levels: key.levels,
             front: hit.front,
         };

@@ -6,5 +6,5 @@ mod ring;
 
 pub use bicubic::Bicubic;
 pub(crate) use bicubic::{Speeds, weights};
-pub(crate) use node::{Children, Kind, Lattice, Node, QUARTERS, TreeContext};
+pub(crate) use node::{Children, Kind, Lattice, Node, QUARTERS, TreeContext, quarter_at};
 pub(crate) use ring::Ring;

@@ -104,7 +104,7 @@ impl Place {
 pub(crate) const QUARTERS: [(u32, u32); 4] = [(0, 0), (1, 0), (1, 1), (0, 1)];
 
 /// The corner at `(u, v)` in halves.
-fn quarter_at(right: bool, top: bool) -> usize {
+pub(crate) fn quarter_at(right: bool, top: bool) -> usize {
     match (right, top) {
         (false, false) => 0,
         (true, false) => 1,
