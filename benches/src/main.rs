@@ -34,6 +34,12 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
+    /// Pixels along a side of the images of suite reyes: 128 if quick, else 1024.
+    #[arg(long, value_name = "N")]
+    size: Option<u32>,
+    /// Folder for pictures of tessellations; suite reyes only.
+    #[arg(long, value_name = "FOLDER")]
+    pictures: Option<PathBuf>,
 }
 
 fn main() -> Result<()> {
@@ -54,8 +60,9 @@ fn main() -> Result<()> {
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
         "reyes" => {
-            let Arguments { quick, only, .. } = arguments;
-            reyes::run(&reyes::Options { quick, only }, &mut output)
+            let Arguments { quick, only, size, pictures, .. } = arguments;
+            let size = size.unwrap_or(if quick { 128 } else { 1024 });
+            reyes::run(&reyes::Options { quick, only, size, pictures }, &mut output)
         }
         other => bail!("unknown suite '{other}', expected anyhit, stability or reyes"),
     }

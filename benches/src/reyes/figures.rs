@@ -1,6 +1,7 @@
 //! The dissertation's figures: entry footprints against final approach.
 
 use super::{
+    Options,
     frame::{Frame, Method, Reference, Setting, Shadows, render},
     scenes::Scene,
 };
@@ -68,8 +69,8 @@ fn methods(tight: u32) -> [Method; 4] {
 }
 
 /// Rows of all figures for one scene.
-pub fn run(scene: &Scene, quick: bool, reference: &Reference, output: &mut Output) -> Result<()> {
-    let (size, passes) = if quick { (128, 1) } else { (1024, 3) };
+pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
+    let (size, passes) = (options.size, if options.quick { 1 } else { 3 });
     for figure in &FIGURES {
         let lights = if figure.strata.is_some() { scene.lights() } else { Vec::new() };
         let setting = Setting {

@@ -3,11 +3,13 @@
 mod cracks;
 mod figures;
 mod frame;
+mod pictures;
 mod scenes;
 mod study;
 
 use crate::rows::{Output, note};
 use anyhow::Result;
+use std::path::PathBuf;
 
 /// What to run.
 #[derive(Clone, Debug)]
@@ -16,6 +18,10 @@ pub struct Options {
     pub quick: bool,
     /// Only scenes whose name contains this.
     pub only: Option<String>,
+    /// Pixels along a side of images.
+    pub size: u32,
+    /// Folder for pictures, instead of rows.
+    pub pictures: Option<PathBuf>,
 }
 
 /// Runs the suite.
@@ -26,10 +32,14 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     for scene in scenes::all()? {
         if options.only.as_ref().is_none_or(|only| scene.name.contains(only.as_str())) {
             note(scene.name);
+            if let Some(folder) = &options.pictures {
+                pictures::write(&scene, options.size, folder)?;
+                continue;
+            }
             let level = if scene.control.face_sizes.len() < 100 { 8 } else { 4 };
             let reference = frame::Reference::new(&scene, level)?;
-            figures::run(&scene, options.quick, &reference, output)?;
-            study::run(&scene, options.quick, &reference, output)?;
+            figures::run(&scene, options, &reference, output)?;
+            study::run(&scene, options, &reference, output)?;
         }
     }
     Ok(())

@@ -57,7 +57,7 @@ pub fn all() -> Result<Vec<Scene>> {
     let characters = [
         ("monsterfrog", "monsterfrog.obj", [0.5, 0.45, 1.0], [0.0, 0.5, 0.8]),
         ("bigguy", "bigguy.obj", [0.35, 0.3, 1.0], [0.05, 0.55, 0.5]),
-        ("killeroo", "killeroo_requad.obj", [0.9, 0.25, 0.5], [0.0, 0.3, 0.75]),
+        ("killeroo", "killeroo_requad.obj", [0.9, 0.25, -0.5], [0.0, 0.6, -0.75]),
     ];
     let folder = mesh_folder();
     for (name, file, towards, detail) in characters {

@@ -2,7 +2,7 @@
 //! with and without cracks.
 
 use super::{
-    cracks,
+    Options, cracks,
     figures::row,
     frame::{Frame, Method, Reference, Setting, Shadows, render},
     scenes::Scene,
@@ -30,14 +30,15 @@ fn methods() -> Vec<Method> {
         method("final-approach-stitched", tight, trace.with_footprint(FootprintRule::FinalApproach)),
         method("edges", tight, equal.with_footprint(FootprintRule::Edges)),
         method("edges-projected", tight, equal.with_footprint(FootprintRule::ProjectedEdges)),
+        method("diagsplit", tight, equal.with_footprint(FootprintRule::DiagSplit)),
         method("default-open", tight, trace.with_borders(Borders::Open)),
         method("default", tight, trace),
     ]
 }
 
 /// Rows of all methods for one scene: a normal view with 5 lights, a close view, and random views for cracks.
-pub fn run(scene: &Scene, quick: bool, reference: &Reference, output: &mut Output) -> Result<()> {
-    let (size, passes, views) = if quick { (128, 1, 2) } else { (512, 3, 5) };
+pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
+    let (size, passes, views) = if options.quick { (options.size, 1, 2) } else { (options.size, 3, 5) };
     let lights = scene.lights();
     let methods = methods();
     for (name, close, shadows, lit) in [
@@ -67,7 +68,7 @@ pub fn run(scene: &Scene, quick: bool, reference: &Reference, output: &mut Outpu
             });
             let mut row = row(scene, method, own, &frames[0], params, &truth);
             if name == "study close" {
-                let found = cracks::count(scene, method, reference, views, if quick { 128 } else { 1024 })?;
+                let found = cracks::count(scene, method, reference, views, size)?;
                 row.counters["crack_pixels"] = json!(found.cracks);
                 row.counters["crack_rays"] = json!(found.rays);
                 row.counters["depth_error_mean"] = json!(found.mean_error);

@@ -50,7 +50,7 @@ impl Hasher for KeyHasher {
     }
 }
 
-pub(crate) fn hash(key: &GridKey) -> u64 {
+pub(crate) fn hash(key: &impl Hash) -> u64 {
     let mut hasher = KeyHasher::default();
     key.hash(&mut hasher);
     hasher.finish()

@@ -151,14 +151,29 @@ impl Surface {
                 _ => i * counts[0],
             };
             let (u, v) = if axis == 0 { (at, fixed) } else { (fixed, at) };
-            positions[index] = if outer {
-                // Edges 2 and 3 run against the parameters.
-                let s = if edge < 2 { at } else { SIZE - at };
-                self.edge_position(key.patch, edge, s)
-            } else {
-                self.patches[key.patch as usize].root.position(u, v, SIZE, &self.context)
-            };
-            parameters[index] = [u, v].map(|x| x as f32 / SIZE as f32);
+            let is_corner = i == 0 || i + 1 == counts[axis];
+            let stays = at == start + i as u32 * step;
+            let moved = [u, v].map(|x| x as f32 / SIZE as f32);
+            if is_corner && stays && !key.stitch.is_none() && parameters[index] != moved {
+                // The other border at this corner has moved it.
+                continue;
+            }
+            positions[index] = self.border_position(key, edge, at);
+            parameters[index] = moved;
         }
+    }
+
+    /// The point of border `edge` of a part where the parameter along it is `at`, in units of [`SIZE`].
+    pub(crate) fn border_position(&self, key: &GridKey, edge: usize, at: u32) -> Vec3 {
+        if key.touches(edge) {
+            // Edges 2 and 3 run against the parameters.
+            let s = if edge < 2 { at } else { SIZE - at };
+            return self.edge_position(key.patch, edge, s);
+        }
+        let (corner, size) = key.corner();
+        let far = edge == 1 || edge == 2;
+        let fixed = corner[1 - edge % 2] + if far { size } else { 0 };
+        let (u, v) = if edge % 2 == 0 { (at, fixed) } else { (fixed, at) };
+        self.patches[key.patch as usize].root.position(u, v, SIZE, &self.context)
     }
 }

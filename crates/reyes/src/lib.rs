@@ -3,6 +3,7 @@
 
 mod bucket;
 mod cache;
+mod diagsplit;
 mod dice;
 mod error;
 mod footprint;

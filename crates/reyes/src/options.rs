@@ -20,11 +20,13 @@ pub enum FootprintRule {
     Edges,
     /// The same with lengths as the ray sees them, across its direction: an edge along the ray counts for nothing.
     ProjectedEdges,
+    /// By edges, split where their parts ask for different rates (DiagSplit, Fisher et al. 2009).
+    DiagSplit,
 }
 
 impl FootprintRule {
     pub(crate) fn is_by_edges(self) -> bool {
-        matches!(self, Self::Edges | Self::ProjectedEdges)
+        matches!(self, Self::Edges | Self::ProjectedEdges | Self::DiagSplit)
     }
 }
 

@@ -2,11 +2,14 @@
 
 use crate::{TraceOptions, cache, dice::GridKey, grid::Grid};
 use std::sync::Arc;
+use umbrage_geom::glam::Vec3;
 
 /// Bytes of a large grid, roughly.
 const GRID_BYTES: usize = 2 << 10;
 /// Most grids that a thread holds.
 const MOST_GRIDS: usize = 1 << 10;
+/// Borders whose points are remembered.
+const MOST_BORDERS: usize = 1 << 12;
 /// Patches whose rates are remembered during a ray.
 const MEMO: usize = 64;
 
@@ -16,6 +19,7 @@ const MEMO: usize = 64;
 pub struct TraceState {
     pub(crate) grids: RecentGrids,
     pub(crate) levels: LevelMemo,
+    pub(crate) borders: RecentBorders,
     /// Patches to try, the next one last.
     pub(crate) deferred: Vec<u32>,
 }
@@ -28,6 +32,7 @@ impl TraceState {
         Self {
             grids: RecentGrids { slots: vec![None; count].into() },
             levels: LevelMemo::default(),
+            borders: RecentBorders::default(),
             deferred: Vec::new(),
         }
     }
@@ -79,5 +84,25 @@ impl LevelMemo {
 
     pub(crate) fn set(&mut self, patch: u32, levels: Option<[u8; 2]>) {
         self.slots[patch as usize % MEMO] = (self.stamp, patch, levels);
+    }
+}
+
+/// Patch, depth, place and edge of a part's border.
+type BorderKey = (u32, u8, [u16; 2], u8);
+
+/// Points of borders that were looked at lately, direct-mapped; empty until it is used.
+#[derive(Default)]
+pub(crate) struct RecentBorders {
+    slots: Vec<Option<(BorderKey, [Vec3; 5])>>,
+}
+
+impl RecentBorders {
+    pub(crate) fn get(&mut self, key: BorderKey, make: impl FnOnce() -> [Vec3; 5]) -> [Vec3; 5] {
+        self.slots.resize(MOST_BORDERS, None);
+        let slot = &mut self.slots[cache::hash(&key) as usize % MOST_BORDERS];
+        match slot {
+            Some((known, points)) if *known == key => *points,
+            _ => slot.insert((key, make())).1,
+        }
     }
 }

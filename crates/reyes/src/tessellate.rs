@@ -100,10 +100,8 @@ impl Surface {
         let (corner, size) = part.corner();
         let step = SIZE >> (part.levels[axis] - shift);
         let ends = [corner[axis] / step * step, (corner[axis] + size).div_ceil(step) * step];
-        ends.into_iter().fold(Aabb::EMPTY, |bounds, at| {
-            let s = if edge < 2 { at } else { SIZE - at };
-            bounds.with_point(self.edge_position(part.patch, edge, s))
-        })
+        ends.into_iter()
+            .fold(Aabb::EMPTY, |bounds, at| bounds.with_point(self.border_position(part, edge, at)))
     }
 
     fn static_shifts(&self, patch: usize, edge: usize, levels: &[[u8; 2]]) -> [u8; 2] {

@@ -57,23 +57,23 @@ pub struct TraceCounts {
 /// What a ray sees of a patch depends on the ray and the surface alone, so answers are the same for any order of rays, number
 /// of threads and cache size.
 pub struct SurfaceTracer {
-    surface: Arc<Surface>,
+    pub(crate) surface: Arc<Surface>,
     bvh: BoxBvh,
-    options: TraceOptions,
+    pub(crate) options: TraceOptions,
     cache: GridCache,
     dice: AtomicU64,
     micropolygons: AtomicU64,
 }
 
 /// One ray's way through the surface.
-struct Query<'a, 's> {
-    tracer: &'a SurfaceTracer,
+pub(crate) struct Query<'a, 's> {
+    pub(crate) tracer: &'a SurfaceTracer,
     /// The whole ray, by which rates are chosen.
-    whole: GridRay,
+    pub(crate) whole: GridRay,
     /// The ray up to the closest hit so far.
-    ray: GridRay,
-    width: Width,
-    state: &'s mut TraceState,
+    pub(crate) ray: GridRay,
+    pub(crate) width: Width,
+    pub(crate) state: &'s mut TraceState,
     any: bool,
     closest: Option<(SurfaceHit, GridKey, u32)>,
 }
@@ -214,7 +214,7 @@ impl SurfaceTracer {
                 self.levels_for(patch, width)
             }
             FootprintRule::ExactFinalApproach => self.exact_approach(patch, ray, width, interval),
-            FootprintRule::Edges | FootprintRule::ProjectedEdges => {
+            FootprintRule::Edges | FootprintRule::ProjectedEdges | FootprintRule::DiagSplit => {
                 let [bottom, right, top, left] =
                     [0, 1, 2, 3].map(|edge| self.edge_level(patch, edge, ray, width));
                 [bottom.max(top), right.max(left)]
@@ -368,6 +368,10 @@ struct Seams {
 impl Query<'_, '_> {
     /// Looks for hits on a patch; whether there was any so far.
     fn patch(&mut self, patch: u32) -> bool {
+        if self.tracer.options.footprint == FootprintRule::DiagSplit {
+            self.diagsplit(patch);
+            return self.closest.is_some();
+        }
         let Some(levels) = self.levels(patch) else { return self.closest.is_some() };
         let mut seams = Seams { patch, levels, shifts: [None; 4] };
         let tracer = self.tracer;
@@ -480,6 +484,12 @@ impl Query<'_, '_> {
                 }
             }
         }
+        self.grid_of(key)
+    }
+
+    /// Looks for hits on one grid; `true` ends the query.
+    pub(crate) fn grid_of(&mut self, key: GridKey) -> bool {
+        let tracer = self.tracer;
         let Self { state, ray, any, closest, .. } = self;
         let grid = state.grids.get(&key, || {
             tracer.cache.get(&key, || {

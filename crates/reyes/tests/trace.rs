@@ -31,6 +31,7 @@ fn wild_tracers(mesh: &PolygonMesh) -> Vec<SurfaceTracer> {
         FootprintRule::ExactFinalApproach,
         FootprintRule::Edges,
         FootprintRule::ProjectedEdges,
+        FootprintRule::DiagSplit,
     ];
     rules
         .iter()
@@ -54,7 +55,7 @@ fn closed_surfaces_do_not_leak() {
         for tracer in wild_tracers(&mesh) {
             let mut state = TraceState::new(tracer.options());
             let surface = tracer.surface();
-            let center = surface.bounds().center();
+            let center = surface.bounds().center() + 0.2 * surface.bounds().size();
             for patch in 0..surface.patch_count() as u32 {
                 for step in 0..48u32 {
                     let s = (step % 12) as f32 / 11.0;
