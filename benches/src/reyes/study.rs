@@ -33,6 +33,7 @@ fn methods() -> Vec<Method> {
         method("diagsplit", tight, equal.with_footprint(FootprintRule::DiagSplit)),
         method("default-open", tight, trace.with_borders(Borders::Open)),
         method("default", tight, trace),
+        method("default-occluders", tight, trace.with_occluder_cells(64)),
     ]
 }
 

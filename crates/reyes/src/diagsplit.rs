@@ -20,8 +20,9 @@ const UNIFORM: u8 = 0;
 /// What an edge asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum EdgeRate {
-    /// Vertices at the multiples of `2^-level` of the patch.
-    Uniform(u8),
+    /// Vertices at the multiples of `2^-level` of the patch. With the depth of the part whose side it is, for lines inside
+    /// the patch.
+    Uniform(u8, Option<u8>),
     /// Its halves are asked.
     Split,
 }
@@ -73,7 +74,9 @@ impl Query<'_, '_> {
         if most > least + UNIFORM && most > 2 && room > 2 {
             EdgeRate::Split
         } else {
-            EdgeRate::Uniform(part.depth + most)
+            // Lines inside a patch keep a vertex between their ends, see `dice.rs`.
+            let most = if outer { most } else { most.max(1) };
+            EdgeRate::Uniform(part.depth + most, (!outer).then_some(part.depth))
         }
     }
 
@@ -109,7 +112,7 @@ impl Query<'_, '_> {
     /// Room for borders that are coarser than the part.
     fn with_coarse_borders(&self, part: Part, edges: [EdgeRate; 4], mut bounds: Aabb) -> Aabb {
         for (edge, rate) in edges.into_iter().enumerate() {
-            let EdgeRate::Uniform(level) = rate else { continue };
+            let EdgeRate::Uniform(level, _) = rate else { continue };
             if level >= part.depth {
                 continue;
             }
@@ -126,7 +129,7 @@ impl Query<'_, '_> {
     fn diagsplit_part(&mut self, node: &Node, part: Part, edges: [EdgeRate; 4]) -> bool {
         let tracer = self.tracer;
         let levels = edges.map(|rate| match rate {
-            EdgeRate::Uniform(level) => Some(level),
+            EdgeRate::Uniform(level, _) => Some(level),
             EdgeRate::Split => None,
         });
         let uniform = match levels {
@@ -139,8 +142,12 @@ impl Query<'_, '_> {
             if levels[0].max(levels[1]) <= part.depth + crate::grid::GRID_LEVEL {
                 let mut stitch = Stitch::default();
                 for (edge, rate) in edges.into_iter().enumerate() {
-                    if let EdgeRate::Uniform(level) = rate {
-                        stitch = stitch.with(edge, [levels[edge % 2] - level; 2]);
+                    if let EdgeRate::Uniform(level, line) = rate {
+                        let shift = levels[edge % 2] - level;
+                        stitch = stitch.with(edge, [shift; 2]);
+                        if let (Some(depth), true) = (line, shift > 0) {
+                            stitch = stitch.with_line(edge, depth);
+                        }
                     }
                 }
                 return self.grid_of(part.key(levels, stitch));
@@ -149,7 +156,9 @@ impl Query<'_, '_> {
         let parts = [0, 1, 2, 3].map(|k| part.quarter(k));
         // Rates of the four lines between quarters: from the middle to the bottom, right, top and left.
         let inner = match uniform {
-            Some([u, v]) => [v, u, v, u].map(EdgeRate::Uniform),
+            Some([u, v]) => {
+                [v, u, v, u].map(|level| EdgeRate::Uniform(level.max(part.depth + 2), Some(part.depth + 1)))
+            }
             None => [
                 self.edge_rate(parts[0], 1),
                 self.edge_rate(parts[1], 2),

@@ -25,37 +25,65 @@ pub(crate) struct GridKey {
 }
 
 /// How much coarser than the grid its borders are: for the edges of the part, bottom, right, top, left, each its half at
-/// smaller and at larger parameters; levels in steps of 4 bits.
+/// smaller and at larger parameters; levels in steps of 4 bits. For lines inside a patch that end at coarser borders, further
+/// the splits from the patch to the line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub(crate) struct Stitch(u32);
+pub(crate) struct Stitch {
+    shifts: u32,
+    /// One more than the splits, 0 for none; 4 bits an edge.
+    lines: u16,
+}
 
 impl Stitch {
     pub(crate) fn with(self, edge: usize, halves: [u8; 2]) -> Self {
         let bits = u32::from(halves[0] & 15) | u32::from(halves[1] & 15) << 4;
-        Self(self.0 & !(255 << (8 * edge)) | bits << (8 * edge))
+        Self { shifts: self.shifts & !(255 << (8 * edge)) | bits << (8 * edge), ..self }
     }
 
     pub(crate) fn get(self, edge: usize) -> [u8; 2] {
-        let bits = self.0 >> (8 * edge);
+        let bits = self.shifts >> (8 * edge);
         [(bits & 15) as u8, (bits >> 4 & 15) as u8]
     }
 
+    /// The edge is (part of) a line inside the patch, of a part after `depth` splits.
+    pub(crate) fn with_line(self, edge: usize, depth: u8) -> Self {
+        Self { lines: self.lines | (u16::from(depth + 1) & 15) << (4 * edge), ..self }
+    }
+
+    fn line(self, edge: usize) -> Option<u8> {
+        ((self.lines >> (4 * edge) & 15) as u8).checked_sub(1)
+    }
+
     pub(crate) fn is_none(self) -> bool {
-        self.0 == 0
+        self.shifts == 0
     }
 }
 
 /// The vertex that vertex `i` of `2^level` is moved to on an edge whose halves are coarser by `shifts` levels: the nearest
 /// multiple, ties going up or down.
-fn snap(i: u32, level: u8, shifts: [u8; 2], ties_up: bool) -> u32 {
+///
+/// The ends of a line inside a patch may have moved along the borders that it ends at, so nothing moves there: such a line
+/// has a vertex between its ends.
+fn snap(i: u32, level: u8, shifts: [u8; 2], ties_up: bool, line: Option<u8>) -> u32 {
     let middle = (1u32 << level) / 2;
     let shift = shifts[usize::from(i > middle)];
-    if shift == 0 {
+    let step = 1u32 << shift;
+    let below = i / step * step;
+    if below == i {
         return i;
     }
-    let step = 1u32 << shift;
+    if let Some(depth) = line {
+        let length = 1u32 << (level - depth);
+        let start = i / length * length;
+        if below == start {
+            return below + step;
+        }
+        if below + step == start + length {
+            return below;
+        }
+    }
     let half = if ties_up { step / 2 } else { step / 2 - 1 };
-    (i + half) >> shift << shift
+    (i + half) / step * step
 }
 
 impl GridKey {
@@ -143,7 +171,7 @@ impl Surface {
         let fixed = [u0, v0][1 - axis] + if far { size } else { 0 };
         for i in 0..counts[axis] {
             // With the diagonal that cells have, ties go to where triangles stay short.
-            let at = snap((start / step) + i as u32, level, shifts, !far) * step;
+            let at = snap((start / step) + i as u32, level, shifts, !far, key.stitch.line(edge)) * step;
             let index = match edge {
                 0 => i,
                 1 => i * counts[0] + counts[0] - 1,

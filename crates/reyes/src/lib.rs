@@ -9,6 +9,7 @@ mod error;
 mod footprint;
 mod grid;
 mod length;
+mod occluder;
 mod options;
 mod patch;
 mod state;

@@ -69,6 +69,9 @@ pub struct TraceOptions {
     pub max_level: u8,
     /// Bytes of grids kept; each thread's [`crate::TraceState`] holds up to a sixteenth of it more.
     pub cache_bytes: usize,
+    /// Cells along the longest side of a lattice whose cells inside a closed surface block shadow rays, at most 512; 0 for
+    /// none. Not used where [`Self::borders`] are open.
+    pub occluder_cells: u32,
 }
 
 impl Default for TraceOptions {
@@ -80,6 +83,7 @@ impl Default for TraceOptions {
             edge: 1.0,
             max_level: 10,
             cache_bytes: 256 << 20,
+            occluder_cells: 0,
         }
     }
 }
@@ -126,6 +130,17 @@ impl TraceOptions {
         Self { cache_bytes, ..self }
     }
 
+    /// With another [`Self::occluder_cells`].
+    #[must_use]
+    pub fn with_occluder_cells(self, occluder_cells: u32) -> Self {
+        Self { occluder_cells, ..self }
+    }
+
+    /// Whether borders are moved to where neighbours have vertices.
+    pub(crate) fn has_seams(&self) -> bool {
+        self.borders == Borders::Stitched || self.footprint.is_by_edges()
+    }
+
     pub(crate) fn check(&self) -> Result<(), SurfaceError> {
         if !(self.edge > 0.0 && self.edge.is_finite()) {
             let value = self.edge.into();
@@ -134,6 +149,10 @@ impl TraceOptions {
         if self.max_level > MAX_LEVEL {
             let value = self.max_level.into();
             return Err(SurfaceError::Option { name: "max_level", value, expected: "0 to 12" });
+        }
+        if self.occluder_cells > 512 {
+            let value = self.occluder_cells.into();
+            return Err(SurfaceError::Option { name: "occluder_cells", value, expected: "0 to 512" });
         }
         Ok(())
     }

@@ -19,6 +19,7 @@ const MEMO: usize = 64;
 pub struct TraceState {
     pub(crate) grids: RecentGrids,
     pub(crate) levels: LevelMemo,
+    pub(crate) occluder_hits: u64,
     pub(crate) borders: RecentBorders,
     /// Patches to try, the next one last.
     pub(crate) deferred: Vec<u32>,
@@ -32,9 +33,15 @@ impl TraceState {
         Self {
             grids: RecentGrids { slots: vec![None; count].into() },
             levels: LevelMemo::default(),
+            occluder_hits: 0,
             borders: RecentBorders::default(),
             deferred: Vec::new(),
         }
+    }
+
+    /// Shadow rays so far that opaque cells blocked.
+    pub fn occluder_hits(&self) -> u64 {
+        self.occluder_hits
     }
 
     /// A new ray begins.

@@ -1,11 +1,12 @@
 //! Rays against a surface: a hierarchy over patch bounds, rates by footprint, grids on demand.
 
 use crate::{
-    Borders, FootprintRule, Rates, Surface, SurfaceError, TraceOptions,
+    FootprintRule, Rates, Surface, SurfaceError, TraceOptions,
     cache::GridCache,
     dice::{GridKey, Stitch},
     footprint::Width,
     grid::{Grid, GridRay},
+    occluder::OpaqueCells,
     patch::{Node, QUARTERS},
     state::TraceState,
     subdiv::NONE,
@@ -61,6 +62,7 @@ pub struct SurfaceTracer {
     bvh: BoxBvh,
     pub(crate) options: TraceOptions,
     cache: GridCache,
+    occluders: Option<OpaqueCells>,
     dice: AtomicU64,
     micropolygons: AtomicU64,
 }
@@ -89,6 +91,9 @@ impl SurfaceTracer {
         Ok(Self {
             bvh: BoxBvh::build(&boxes, BuildQuality::High)?,
             cache: GridCache::new(options.cache_bytes),
+            occluders: (options.occluder_cells > 0 && options.has_seams())
+                .then(|| OpaqueCells::build(&surface, options.occluder_cells))
+                .flatten(),
             options: *options,
             surface,
             dice: 0.into(),
@@ -127,6 +132,9 @@ impl SurfaceTracer {
 
     /// Whether the open segment meets any micropolygon that it sees. Rays that are not [valid](Ray::is_valid) miss.
     pub fn any_hit(&self, ray: &Ray, differential: &RayDifferential, state: &mut TraceState) -> bool {
+        if self.is_blocked_inside(ray, state) {
+            return true;
+        }
         self.query(ray, differential, state, true).is_some_and(|query| query.closest.is_some())
     }
 
@@ -150,6 +158,9 @@ impl SurfaceTracer {
         differential: &RayDifferential,
         state: &mut TraceState,
     ) -> bool {
+        if self.is_blocked_inside(ray, state) {
+            return true;
+        }
         let mut deferred = std::mem::take(&mut state.deferred);
         deferred.clear();
         let _ = self.bvh.walk(ray, |patch| {
@@ -162,6 +173,18 @@ impl SurfaceTracer {
         });
         state.deferred = deferred;
         hit
+    }
+
+    /// Whether an opaque cell answers for the segment.
+    fn is_blocked_inside(&self, ray: &Ray, state: &mut TraceState) -> bool {
+        let blocked = self.occluders.as_ref().is_some_and(|cells| cells.block(ray));
+        state.occluder_hits += u64::from(blocked);
+        blocked
+    }
+
+    /// Cells of the lattice that are inside the surface, and its bytes.
+    pub fn opaque_cells(&self) -> (usize, usize) {
+        self.occluders.as_ref().map_or((0, 0), |cells| (cells.opaque, cells.bytes()))
     }
 
     fn start<'a, 's>(
@@ -224,7 +247,7 @@ impl SurfaceTracer {
 
     /// Whether borders are moved to where neighbours have vertices.
     fn has_seams(&self) -> bool {
-        self.options.borders == Borders::Stitched || self.options.footprint.is_by_edges()
+        self.options.has_seams()
     }
 
     fn levels_for(&self, patch: u32, width: f64) -> [u8; 2] {

@@ -55,11 +55,11 @@ fn closed_surfaces_do_not_leak() {
         for tracer in wild_tracers(&mesh) {
             let mut state = TraceState::new(tracer.options());
             let surface = tracer.surface();
-            let center = surface.bounds().center() + 0.2 * surface.bounds().size();
+            let center = surface.bounds().center() + 0.08 * surface.bounds().size();
             for patch in 0..surface.patch_count() as u32 {
-                for step in 0..48u32 {
-                    let s = (step % 12) as f32 / 11.0;
-                    let (u, v) = [(s, 0.0), (1.0, s), (s, 1.0), (0.0, s)][step as usize / 12];
+                for step in 0..28u32 {
+                    let s = (step % 7) as f32 / 6.0;
+                    let (u, v) = [(s, 0.0), (1.0, s), (s, 1.0), (0.0, s)][step as usize / 7];
                     let target = surface.limit(patch, u, v).position;
                     for spread in [0.02, 0.1, 0.4] {
                         let (ray, differential) = camera_ray(center, target, spread);
@@ -182,6 +182,37 @@ fn eviction_and_order_change_no_hit() {
         });
         assert!(tight.peak_grid_bytes() <= bytes, "{} > {bytes}", tight.peak_grid_bytes());
         assert!(tight.counts().dice > roomy.counts().dice);
+    }
+}
+
+/// Opaque cells answer as the tessellation would, from points on, off and inside the surface; deferred rays do too.
+#[test]
+fn opaque_cells_change_no_answer() {
+    for (name, mesh) in zoo() {
+        let options = TraceOptions::default().with_max_level(5);
+        let plain = tracer(&mesh, &options);
+        let quick = tracer(&mesh, &options.with_occluder_cells(24));
+        let closed = !(name.contains("sheet") || name == "dart" || name == "one quad");
+        assert_eq!(quick.opaque_cells().0 > 0, closed, "{name}");
+        let (mut a, mut b) = (TraceState::new(&options), TraceState::new(&options));
+        let bounds = plain.surface().bounds();
+        for i in 0..600u32 {
+            let x = umbrage_geom::sampling::sobol_4d(i, 0, 11);
+            let y = umbrage_geom::sampling::sobol_4d(i, 1, 11);
+            let patch = (x[3] * plain.surface().patch_count() as f32) as u32;
+            let point = plain.surface().limit(patch, x[0], x[1]).position;
+            let from =
+                if i % 2 == 0 { point } else { bounds.min + bounds.size() * Vec3::new(x[0], x[1], x[2]) };
+            let spread = [Vec3::X * 0.02, Vec3::Y * 0.02];
+            let to = bounds.center() + bounds.size() * 1.5 * (Vec3::new(y[0], y[1], y[2]) - 0.5);
+            let ray = Ray::between(from, to);
+            let differential = umbrage_reyes::light_differential(spread, spread);
+            let expected = plain.any_hit(&ray, &differential, &mut a);
+            assert_eq!(quick.any_hit(&ray, &differential, &mut b), expected, "{name}, ray {i}");
+            assert_eq!(plain.any_hit_deferred(&ray, &differential, &mut a), expected, "{name}, ray {i}");
+        }
+        assert_eq!(b.occluder_hits() > 0, closed, "{name}");
+        assert!(!closed || quick.counts().dice <= plain.counts().dice);
     }
 }
 
