@@ -34,9 +34,12 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Pixels along a side of the images of suite reyes: 128 if quick, else 1024.
+    /// Pixels along a side of the images of suite reyes: 96 if quick, else 1024.
     #[arg(long, value_name = "N")]
     size: Option<u32>,
+    /// Only figures of suite reyes whose name contains this.
+    #[arg(long, value_name = "TEXT")]
+    figure: Option<String>,
     /// Folder for pictures of tessellations; suite reyes only.
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -60,9 +63,9 @@ fn main() -> Result<()> {
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
         "reyes" => {
-            let Arguments { quick, only, size, pictures, .. } = arguments;
-            let size = size.unwrap_or(if quick { 128 } else { 1024 });
-            reyes::run(&reyes::Options { quick, only, size, pictures }, &mut output)
+            let Arguments { quick, only, size, figure, pictures, .. } = arguments;
+            let size = size.unwrap_or(if quick { 96 } else { 1024 });
+            reyes::run(&reyes::Options { quick, only, size, figure, pictures }, &mut output)
         }
         other => bail!("unknown suite '{other}', expected anyhit, stability or reyes"),
     }

@@ -70,8 +70,9 @@ fn methods(tight: u32) -> [Method; 4] {
 
 /// Rows of all figures for one scene.
 pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
-    let (size, passes) = (options.size, if options.quick { 1 } else { 3 });
-    for figure in &FIGURES {
+    let passes = if options.quick { 1 } else { 3 };
+    for figure in FIGURES.iter().filter(|figure| options.wants(figure.name)) {
+        let size = options.size_for(figure.shadows);
         let lights = if figure.strata.is_some() { scene.lights() } else { Vec::new() };
         let setting = Setting {
             view: scene.view(figure.close, size),

@@ -9,6 +9,7 @@ mod study;
 
 use crate::rows::{Output, note};
 use anyhow::Result;
+use frame::Shadows;
 use std::path::PathBuf;
 
 /// What to run.
@@ -20,8 +21,21 @@ pub struct Options {
     pub only: Option<String>,
     /// Pixels along a side of images.
     pub size: u32,
+    /// Only figures whose name contains this.
+    pub figure: Option<String>,
     /// Folder for pictures, instead of rows.
     pub pictures: Option<PathBuf>,
+}
+
+impl Options {
+    fn wants(&self, figure: &str) -> bool {
+        self.figure.as_ref().is_none_or(|wanted| figure.contains(wanted.as_str()))
+    }
+
+    /// Pixels along a side: rays without width at their start cost many times as much.
+    fn size_for(&self, shadows: Shadows) -> u32 {
+        if self.quick && shadows != Shadows::FromPixel { self.size / 2 } else { self.size }
+    }
 }
 
 /// Runs the suite.
@@ -40,6 +54,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             let reference = frame::Reference::new(&scene, level)?;
             figures::run(&scene, options, &reference, output)?;
             study::run(&scene, options, &reference, output)?;
+            study::cracks(&scene, options, &reference, output)?;
         }
     }
     Ok(())

@@ -215,7 +215,7 @@ fn fill(
 ) {
     let camera = &projection.camera;
     for key in surface.parts_of(patch, levels) {
-        if !projection.pixels(&surface.part_bounds(&key)).is_some_and(|p| overlap(p, area).is_some()) {
+        if projection.pixels(&surface.part_bounds(&key)).is_none_or(|p| overlap(p, area).is_none()) {
             continue;
         }
         let grid = surface.dice(&key);

@@ -138,20 +138,19 @@ impl Query<'_, '_> {
             }
             _ => None,
         };
-        if let Some(levels) = uniform {
-            if levels[0].max(levels[1]) <= part.depth + crate::grid::GRID_LEVEL {
-                let mut stitch = Stitch::default();
-                for (edge, rate) in edges.into_iter().enumerate() {
-                    if let EdgeRate::Uniform(level, line) = rate {
-                        let shift = levels[edge % 2] - level;
-                        stitch = stitch.with(edge, [shift; 2]);
-                        if let (Some(depth), true) = (line, shift > 0) {
-                            stitch = stitch.with_line(edge, depth);
-                        }
-                    }
+        if let Some(levels) = uniform
+            && levels[0].max(levels[1]) <= part.depth + crate::grid::GRID_LEVEL
+        {
+            let mut stitch = Stitch::default();
+            for (edge, rate) in edges.into_iter().enumerate() {
+                let EdgeRate::Uniform(level, line) = rate else { continue };
+                let shift = levels[edge % 2] - level;
+                stitch = stitch.with(edge, [shift; 2]);
+                if let (Some(depth), true) = (line, shift > 0) {
+                    stitch = stitch.with_line(edge, depth);
                 }
-                return self.grid_of(part.key(levels, stitch));
             }
+            return self.grid_of(part.key(levels, stitch));
         }
         let parts = [0, 1, 2, 3].map(|k| part.quarter(k));
         // Rates of the four lines between quarters: from the middle to the bottom, right, top and left.

@@ -201,7 +201,7 @@ impl Surface {
         let (corner, size) = key.corner();
         let far = edge == 1 || edge == 2;
         let fixed = corner[1 - edge % 2] + if far { size } else { 0 };
-        let (u, v) = if edge % 2 == 0 { (at, fixed) } else { (fixed, at) };
+        let (u, v) = if edge.is_multiple_of(2) { (at, fixed) } else { (fixed, at) };
         self.patches[key.patch as usize].root.position(u, v, SIZE, &self.context)
     }
 }

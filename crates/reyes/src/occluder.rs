@@ -11,7 +11,7 @@ use umbrage_geom::{Aabb, Ray, glam::DVec3, glam::Vec3, winding_number};
 const MARGIN: f64 = 1e-3;
 
 /// Levels of preemptive subdivision for the boxes that cells keep clear of.
-const TIGHT: u32 = 3;
+const TIGHT: u32 = 2;
 
 /// A lattice of cells known to be inside or outside.
 pub(crate) struct OpaqueCells {
