@@ -7,6 +7,7 @@ mod embree;
 mod entry;
 mod peer;
 mod prefilter;
+mod reyes;
 mod rows;
 mod scenes;
 mod stability;
@@ -19,7 +20,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit, aomask, prefilter, stability, volumetric.
+    /// Suite: anyhit, aomask, prefilter, reyes, stability, volumetric.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -40,7 +41,13 @@ struct Arguments {
     /// control, forest.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
-    /// Where the suite volumetric draws pictures.
+    /// Pixels along a side of the images of suite reyes: 96 if quick, else 1024.
+    #[arg(long, value_name = "N")]
+    size: Option<u32>,
+    /// Only figures of suite reyes whose name contains this.
+    #[arg(long, value_name = "TEXT")]
+    figure: Option<String>,
+    /// Folder for pictures; suites reyes and volumetric.
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
 }
@@ -74,6 +81,13 @@ fn main() -> Result<()> {
             let Arguments { quick, only, pictures, .. } = arguments;
             volumetric::run(&volumetric::Options { quick, only, pictures }, &mut output)
         }
-        other => bail!("unknown suite '{other}', expected anyhit, aomask, prefilter, stability or volumetric"),
+        "reyes" => {
+            let Arguments { quick, only, size, figure, pictures, .. } = arguments;
+            let size = size.unwrap_or(if quick { 96 } else { 1024 });
+            reyes::run(&reyes::Options { quick, only, size, figure, pictures }, &mut output)
+        }
+        other => bail!(
+            "unknown suite '{other}', expected anyhit, aomask, prefilter, reyes, stability or volumetric"
+        ),
     }
 }

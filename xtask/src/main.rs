@@ -32,7 +32,7 @@ enum Task {
     },
     /// Runs a benchmark suite, prints a table and writes one JSON object a line.
     Bench {
-        /// Suite: anyhit or stability.
+        /// Suite: anyhit, stability or reyes.
         suite: String,
         /// Same rows, smaller sizes, within three minutes once built.
         #[arg(long)]

@@ -19,6 +19,12 @@ pub enum BuildError {
         /// How many there may be.
         limit: usize,
     },
+    /// A box is empty or not finite.
+    #[error("box {index} is empty or not finite")]
+    Box {
+        /// Index of the box, from 0.
+        index: usize,
+    },
     /// A refit brought another number of things than the build.
     #[error("refit with {count} {what}, but the hierarchy was built with {expected}")]
     Count {

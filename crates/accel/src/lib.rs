@@ -4,6 +4,7 @@ pub mod brute;
 pub mod kdtree;
 
 mod binary;
+mod boxes;
 mod bvh;
 mod error;
 mod fan;
@@ -18,6 +19,7 @@ mod traversal;
 mod view;
 
 pub use binary::{BinaryNode, BinaryTree};
+pub use boxes::BoxBvh;
 pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};

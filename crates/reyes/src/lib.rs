@@ -1,2 +1,30 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
+
+mod bucket;
+mod cache;
+mod diagsplit;
+mod dice;
+mod error;
+mod footprint;
+mod grid;
+mod length;
+mod occluder;
+mod options;
+mod patch;
+mod state;
+mod subdiv;
+mod surface;
+mod tessellate;
+mod trace;
+
+pub use bucket::{BucketOptions, Fragment, RasterCamera, rasterize};
+pub use error::SurfaceError;
+pub use footprint::{camera_differential, light_differential, reflect, refract};
+pub use length::MAX_LEVEL;
+pub use options::{Borders, FootprintRule, Rates, TraceOptions};
+pub use patch::Bicubic;
+pub use state::TraceState;
+pub use subdiv::{BoundaryRule, CreaseMethod, INFINITE_SHARPNESS, MAX_VALENCE, SubdivisionMesh};
+pub use surface::{Bounds, LimitPoint, Surface, SurfaceCounts, SurfaceOptions};
+pub use trace::{SurfaceHit, SurfaceTracer, TraceCounts};

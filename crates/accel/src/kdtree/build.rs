@@ -203,7 +203,8 @@ impl Builder<'_, '_> {
         while !rest.is_empty() {
             let (mut block, mut vertices) = (TriangleBlock::EMPTY, 0);
             let mut lanes = [u32::MAX; LANES];
-            let fit = rest.iter().take_while(|&&prim| block.push((self.corners)(prim), &mut vertices)).count();
+            let fit =
+                rest.iter().take_while(|&&prim| block.push((self.corners)(prim), &mut vertices)).count();
             lanes[..fit].copy_from_slice(&rest[..fit]);
             self.built.blocks.push(block);
             self.built.prims.push(lanes);

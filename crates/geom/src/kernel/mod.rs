@@ -97,7 +97,8 @@ impl TriangleBlock {
         }
         let (before, used) = (*self, *vertices);
         for (corner, vertex) in triangle.into_iter().enumerate() {
-            let same = |&i: &usize| (0..3).all(|axis| self.vertices[axis][i].to_bits() == vertex[axis].to_bits());
+            let same =
+                |&i: &usize| (0..3).all(|axis| self.vertices[axis][i].to_bits() == vertex[axis].to_bits());
             let place = (0..*vertices).find(same).unwrap_or(*vertices);
             if place == LANES {
                 (*self, *vertices) = (before, used);
@@ -165,6 +166,92 @@ impl TriangleBlock {
                 lanes
             })
         })
+    }
+}
+
+/// Up to eight triangles with corners of their own, a lane each: gathered to be tested once. [`TriangleBlock`] takes less
+/// memory.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub struct TriangleLanes {
+    /// By corner, axis, lane.
+    corners: [[[f32; LANES]; 3]; 3],
+    used: u8,
+}
+
+impl TriangleLanes {
+    /// No triangle.
+    pub const EMPTY: Self = Self { corners: [[[0.0; LANES]; 3]; 3], used: 0 };
+
+    /// Puts a triangle of finite corners into `lane`.
+    ///
+    /// # Panics
+    /// If `lane` is not below [`LANES`].
+    #[inline]
+    pub fn set(&mut self, lane: usize, corners: [[f32; 3]; 3]) {
+        for (rows, corner) in self.corners.iter_mut().zip(corners) {
+            for (row, x) in rows.iter_mut().zip(corner) {
+                row[lane] = x;
+            }
+        }
+        self.used |= 1 << lane;
+    }
+}
+
+mod lanes {
+    /// Triangles in lanes, however they are stored.
+    pub trait Lanes {
+        /// One bit for each lane in use.
+        fn used(&self) -> u8;
+
+        /// The triangle in `lane`.
+        fn triangle(&self, lane: usize) -> [[f32; 3]; 3];
+
+        /// Coordinate `axis` of one corner of each triangle.
+        ///
+        /// # Safety
+        /// AVX2.
+        #[cfg(target_arch = "x86_64")]
+        unsafe fn corner(&self, corner: usize, axis: usize) -> std::arch::x86_64::__m256;
+    }
+}
+pub(crate) use lanes::Lanes;
+
+impl Lanes for TriangleBlock {
+    #[inline(always)]
+    fn used(&self) -> u8 {
+        self.used()
+    }
+
+    #[inline(always)]
+    fn triangle(&self, lane: usize) -> [[f32; 3]; 3] {
+        self.get(lane)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    unsafe fn corner(&self, corner: usize, axis: usize) -> std::arch::x86_64::__m256 {
+        // SAFETY: as of this function.
+        unsafe { x86::corner(self, corner, axis) }
+    }
+}
+
+impl Lanes for TriangleLanes {
+    #[inline(always)]
+    fn used(&self) -> u8 {
+        self.used
+    }
+
+    #[inline(always)]
+    fn triangle(&self, lane: usize) -> [[f32; 3]; 3] {
+        self.corners.map(|corner| corner.map(|lanes| lanes[lane]))
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    unsafe fn corner(&self, corner: usize, axis: usize) -> std::arch::x86_64::__m256 {
+        // SAFETY: as of this function; a row is eight aligned floats.
+        unsafe { std::arch::x86_64::_mm256_load_ps(self.corners[corner][axis].as_ptr()) }
     }
 }
 

@@ -1,15 +1,15 @@
 //! The filter one lane at a time, in plain operations.
 
 use super::{
-    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, SHEAR_ERROR, TriangleBlock,
+    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LANES, LARGEST, Lanes, SHEAR_ERROR,
 };
 
 /// Filters a block; see the [module](super).
 #[inline]
-pub fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
+pub fn filter(block: &impl Lanes, ray: &BlockRay) -> BlockMask {
     let mut mask = BlockMask::default();
-    for lane in 0..block.len() {
-        match hit(block, ray, lane) {
+    for lane in (0..LANES).filter(|lane| block.used() >> lane & 1 == 1) {
+        match hit(block.triangle(lane), ray) {
             Some(true) => mask.certain |= 1 << lane,
             Some(false) => {}
             None => mask.uncertain |= 1 << lane,
@@ -18,10 +18,9 @@ pub fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
     mask
 }
 
-/// Whether the segment hits the triangle in `lane`, if that is certain.
+/// Whether the segment hits the triangle, if that is certain.
 #[inline]
-fn hit(block: &TriangleBlock, ray: &BlockRay, lane: usize) -> Option<bool> {
-    let corners = block.get(lane);
+fn hit(corners: [[f32; 3]; 3], ray: &BlockRay) -> Option<bool> {
     let corner = |c: usize| {
         let p = [0, 1, 2].map(|i| corners[c][ray.axes[i]] - ray.origin[i]);
         let z = p[2] * ray.sign;

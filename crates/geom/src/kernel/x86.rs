@@ -1,7 +1,7 @@
 //! The filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, SHEAR_ERROR, TriangleBlock,
+    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, Lanes, SHEAR_ERROR, TriangleBlock,
 };
 use std::arch::x86_64::*;
 
@@ -24,7 +24,7 @@ impl Avx2 {
     ///
     /// Fast only when inlined into a function with these target features.
     #[inline(always)]
-    pub fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
+    pub fn filter(self, block: &impl Lanes, ray: &BlockRay) -> BlockMask {
         // SAFETY: `self` proves the target features.
         unsafe { filter(block, ray) }
     }
@@ -47,8 +47,12 @@ pub(super) fn corner(block: &TriangleBlock, corner: usize, axis: usize) -> __m25
 /// `A'.x`, `A'.y`, `A.z'` of one corner.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn shear(block: &TriangleBlock, c: usize, ray: &BlockRay) -> [__m256; 3] {
-    let relative = |i: usize| _mm256_sub_ps(corner(block, c, ray.axes[i] % 3), _mm256_set1_ps(ray.origin[i]));
+fn shear(block: &impl Lanes, c: usize, ray: &BlockRay) -> [__m256; 3] {
+    let relative = |i: usize| {
+        // SAFETY: this function's target features.
+        let row = unsafe { block.corner(c, ray.axes[i] % 3) };
+        _mm256_sub_ps(row, _mm256_set1_ps(ray.origin[i]))
+    };
     let sign = _mm256_and_ps(_mm256_set1_ps(ray.sign), _mm256_set1_ps(-0.0));
     let z = _mm256_xor_ps(relative(2), sign);
     let x = _mm256_fnmadd_ps(_mm256_set1_ps(ray.slopes[0]), z, relative(0));
@@ -65,7 +69,7 @@ fn edge(a: [__m256; 3], b: [__m256; 3]) -> __m256 {
 
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn filter(block: &TriangleBlock, ray: &BlockRay) -> BlockMask {
+fn filter(block: &impl Lanes, ray: &BlockRay) -> BlockMask {
     let [a, b, c] = [shear(block, 0, ray), shear(block, 1, ray), shear(block, 2, ray)];
     let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
     let greatest = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);

@@ -1,0 +1,139 @@
+//! The dissertation's figures: entry footprints against final approach.
+
+use super::{
+    Options,
+    frame::{Frame, Method, Reference, Setting, Shadows, render},
+    scenes::Scene,
+};
+use crate::rows::{Output, Row, median, paired_speedup};
+use anyhow::Result;
+use serde_json::{Value, json};
+use umbrage_reyes::{Bounds, FootprintRule, SurfaceOptions, TraceOptions};
+
+/// One measurement of all methods.
+struct Figure {
+    name: &'static str,
+    close: bool,
+    strata: Option<[u32; 2]>,
+    shadows: Shadows,
+    tight: u32,
+    /// What the dissertation found, for the note in rows.
+    published: &'static str,
+}
+
+const NORMAL: &str =
+    "10 to 20 % fewer operations on the characters, more on the sphere; no gain in time but on the sphere";
+
+const FIGURES: [Figure; 9] = [
+    figure("6.9, 6.18 (0), 6.19", false, Some([2, 2]), 0, NORMAL),
+    figure("6.13 normal", false, None, 0, "reduction near 0, exactly 0 on the sphere"),
+    figure("6.13 close", true, None, 0, "more than in the normal view everywhere, most on the sphere"),
+    figure("6.15 (8)", false, Some([4, 2]), 0, "a slightly larger reduction than with 4 samples"),
+    figure("6.18 (1)", false, Some([2, 2]), 1, "reductions shrink as bounds tighten"),
+    figure("6.18 (2)", false, Some([2, 2]), 2, "reductions shrink as bounds tighten"),
+    figure("6.18 (3)", false, Some([2, 2]), 3, "some reduction is left"),
+    Figure { shadows: Shadows::FromPoint, ..figure("6.9 (point)", false, Some([2, 2]), 0, NORMAL) },
+    Figure {
+        shadows: Shadows::Backward,
+        ..figure("6.9 (backward)", false, Some([2, 2]), 0, "proposed in 6.15, not measured")
+    },
+];
+
+const fn figure(
+    name: &'static str,
+    close: bool,
+    strata: Option<[u32; 2]>,
+    tight: u32,
+    published: &'static str,
+) -> Figure {
+    Figure { name, close, strata, shadows: Shadows::FromPixel, tight, published }
+}
+
+/// Finest rate: a shadow ray that starts without width would ask for any.
+const MAX_LEVEL: u8 = 9;
+
+fn methods(tight: u32) -> [Method; 4] {
+    let surface = SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(tight);
+    let published =
+        |name, rule| Method { name, surface, trace: TraceOptions::published(rule).with_max_level(MAX_LEVEL) };
+    [
+        published("entry", FootprintRule::Entry),
+        published("final-approach", FootprintRule::FinalApproach),
+        published("exact-final-approach", FootprintRule::ExactFinalApproach),
+        Method {
+            name: "default",
+            surface: SurfaceOptions::default(),
+            trace: TraceOptions::default().with_max_level(MAX_LEVEL),
+        },
+    ]
+}
+
+/// Rows of all figures for one scene.
+pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
+    let passes = if options.quick { 1 } else { 3 };
+    for figure in FIGURES.iter().filter(|figure| options.wants(figure.name)) {
+        let size = options.size_for(figure.shadows);
+        let lights = if figure.strata.is_some() { scene.lights() } else { Vec::new() };
+        let setting = Setting {
+            view: scene.view(figure.close, size),
+            lights: &lights,
+            strata: figure.strata.unwrap_or([1, 1]),
+            shadows: figure.shadows,
+        };
+        let truth = reference.render(&setting);
+        let methods = methods(figure.tight);
+        let mut frames: Vec<Vec<Frame>> = methods.iter().map(|_| Vec::new()).collect();
+        for _ in 0..passes {
+            for (method, frames) in methods.iter().zip(&mut frames) {
+                frames.push(render(scene, &setting, method)?);
+            }
+        }
+        for (method, own) in methods.iter().zip(&frames) {
+            let params = json!({
+                "figure": figure.name, "size": size, "lights": lights.len(),
+                "samples": setting.strata[0] * setting.strata[1], "shadows": format!("{:?}", figure.shadows),
+                "tight_bounds": figure.tight,
+            });
+            let mut row = row(scene, method, own, &frames[0], params, &truth);
+            row.counters["published"] = json!(figure.published);
+            output.row(&row)?;
+        }
+    }
+    Ok(())
+}
+
+/// The row of a method's frames against those of entry footprints.
+pub fn row(
+    scene: &Scene,
+    method: &Method,
+    own: &[Frame],
+    entry: &[Frame],
+    params: Value,
+    truth: &[f32],
+) -> Row {
+    let times = |frames: &[Frame]| frames.iter().map(|f| f.seconds).collect::<Vec<_>>();
+    let (time_s, last) = (median(&times(own)), &own[own.len() - 1]);
+    let entry_operations = entry[0].operations() as f64;
+    let bias: f64 =
+        last.image.iter().zip(truth).map(|(a, b)| f64::from(a - b)).sum::<f64>() / truth.len() as f64;
+    Row {
+        suite: "reyes",
+        scene: scene.name.into(),
+        method: method.name.into(),
+        params,
+        time_s,
+        build_s: last.build_s,
+        mrays_s: last.rays as f64 / time_s * 1e-6,
+        rmse: last.rmse(truth),
+        bias,
+        bytes: last.bytes,
+        counters: json!({
+            "bound": last.bound, "split": last.split, "dice": last.dice,
+            "micropolygons": last.micropolygons, "operations": last.operations(),
+            "reduction_percent": 100.0 * (1.0 - last.operations() as f64 / entry_operations),
+            "hits": last.hits,
+        }),
+        baseline: "entry",
+        speedup: paired_speedup(&times(entry), &times(own)),
+    }
+}

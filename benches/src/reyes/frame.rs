@@ -1,0 +1,204 @@
+//! One image: camera rays, and shadow rays to area lights.
+
+use super::scenes::{Light, Scene, View, shadow};
+use anyhow::Result;
+use std::{sync::Arc, time::Instant};
+use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_geom::{
+    Ray, TriangleMesh,
+    glam::{Vec2, Vec3},
+    offset_origin,
+    sampling::{combine, hash, pixel_seed, unit},
+};
+use umbrage_reyes::{Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState};
+
+/// How shadow rays are traced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shadows {
+    /// From the surface, as wide there as the pixel.
+    FromPixel,
+    /// From the surface, where all rays of a point start with no width.
+    FromPoint,
+    /// The same, patches near the light first.
+    Deferred,
+    /// From the light, converging on the point.
+    Backward,
+}
+
+/// What is rendered.
+#[derive(Clone, Copy)]
+pub struct Setting<'a> {
+    pub view: View,
+    pub lights: &'a [Light],
+    /// Strata of each light.
+    pub strata: [u32; 2],
+    pub shadows: Shadows,
+}
+
+/// A method: its name, how its surface is made and traced.
+#[derive(Clone, Copy)]
+pub struct Method {
+    pub name: &'static str,
+    pub surface: SurfaceOptions,
+    pub trace: TraceOptions,
+}
+
+/// An image and what it took.
+pub struct Frame {
+    /// Share of light samples seen, 1 where nothing is hit; without lights, distance of the hit.
+    pub image: Vec<f32>,
+    pub seconds: f64,
+    pub build_s: f64,
+    pub rays: usize,
+    pub hits: usize,
+    pub bound: u64,
+    pub split: u64,
+    pub dice: u64,
+    pub micropolygons: u64,
+    pub bytes: usize,
+}
+
+impl Frame {
+    /// Reyes operations.
+    pub fn operations(&self) -> u64 {
+        self.bound + self.split + self.dice
+    }
+
+    /// Root mean square difference of two images.
+    pub fn rmse(&self, other: &[f32]) -> f64 {
+        let squares: f64 = self.image.iter().zip(other).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+        (squares / self.image.len() as f64).sqrt()
+    }
+}
+
+/// Where in its stratum pixel `(x, y)` samples light `l`.
+fn jitter(x: u32, y: u32, l: usize, i: u32) -> Vec2 {
+    let seed = combine(pixel_seed(x, y, 7), hash(l as u32 * 64 + i));
+    Vec2::new(unit(seed), unit(hash(seed)))
+}
+
+/// Renders with a surface made for the occasion.
+pub fn render(scene: &Scene, setting: &Setting, method: &Method) -> Result<Frame> {
+    let start = Instant::now();
+    let surface = Arc::new(Surface::build(&scene.control, &method.surface)?);
+    let tracer = SurfaceTracer::new(Arc::clone(&surface), &method.trace)?;
+    let build_s = start.elapsed().as_secs_f64();
+    let start = Instant::now();
+    let (image, rays, hits) = trace(&tracer, setting);
+    let seconds = start.elapsed().as_secs_f64();
+    let (operations, counts) = (surface.counts(), tracer.counts());
+    Ok(Frame {
+        image,
+        seconds,
+        build_s,
+        rays,
+        hits,
+        bound: operations.bound,
+        split: operations.split,
+        dice: counts.dice,
+        micropolygons: counts.micropolygons,
+        bytes: surface.bytes() + tracer.bvh_bytes() + tracer.peak_grid_bytes(),
+    })
+}
+
+fn trace(tracer: &SurfaceTracer, setting: &Setting) -> (Vec<f32>, usize, usize) {
+    let size = setting.view.size;
+    let samples = setting.strata[0] * setting.strata[1];
+    let mut state = TraceState::new(tracer.options());
+    let mut image = vec![1f32; (size * size) as usize];
+    let (mut rays, mut hits) = (0, 0);
+    for (x, y) in setting.view.pixels() {
+        let (ray, differential) = setting.view.ray(x, y);
+        rays += 1;
+        let Some(hit) = tracer.closest_hit(&ray, &differential, &mut state) else { continue };
+        hits += 1;
+        let pixel = &mut image[(y * size + x) as usize];
+        *pixel = hit.t;
+        if setting.lights.is_empty() {
+            continue;
+        }
+        let normal = tracer.limit(&hit).normal;
+        let d_pixel = differential.transfer(&ray, hit.t, normal).d_origin;
+        let mut seen = 0u32;
+        for (l, light) in setting.lights.iter().enumerate() {
+            for i in 0..samples {
+                let (target, steps) = light.sample(i, setting.strata, jitter(x, y, l, i));
+                let origin = tracer.leave(&hit, target - ray.at(hit.t));
+                let zero = [Vec3::ZERO; 2];
+                let d_point = if setting.shadows == Shadows::FromPixel { d_pixel } else { zero };
+                let blocked = match setting.shadows {
+                    Shadows::FromPixel | Shadows::FromPoint => {
+                        let (ray, d) = shadow(origin, target, d_point, steps);
+                        tracer.any_hit(&ray, &d, &mut state)
+                    }
+                    Shadows::Deferred => {
+                        let (ray, d) = shadow(origin, target, d_point, steps);
+                        tracer.any_hit_deferred(&ray, &d, &mut state)
+                    }
+                    Shadows::Backward => {
+                        let (ray, d) = shadow(target, origin, steps, d_point);
+                        tracer.any_hit(&ray, &d, &mut state)
+                    }
+                };
+                rays += 1;
+                seen += u32::from(!blocked);
+            }
+        }
+        *pixel = seen as f32 / (samples * setting.lights.len() as u32) as f32;
+    }
+    (image, rays, hits)
+}
+
+/// The limit surface, by triangles much smaller than pixels.
+pub struct Reference {
+    mesh: TriangleMesh,
+    bvh: Bvh,
+}
+
+impl Reference {
+    /// Every patch at `level`.
+    pub fn new(scene: &Scene, level: u8) -> Result<Self> {
+        let surface = Surface::build(&scene.control, &SurfaceOptions::default())?;
+        let (mesh, _) = surface.tessellate(|_| [level; 2])?;
+        let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default())?;
+        Ok(Self { mesh, bvh })
+    }
+
+    /// Where a ray meets the surface, and the cosine of its angle there, 0 from behind.
+    pub fn closest_hit(&self, ray: &Ray) -> Option<(f32, f32)> {
+        let hit = self.bvh.closest_hit(ray)?;
+        let [a, b, c] = self.mesh.triangle(hit.prim_index as usize).map(Vec3::from);
+        let normal = (b - a).as_dvec3().cross((c - a).as_dvec3()).normalize_or_zero().as_vec3();
+        Some((hit.t, (-normal.dot(ray.direction.normalize())).max(0.0)))
+    }
+
+    /// The image that [`render`] should come to.
+    pub fn render(&self, setting: &Setting) -> Vec<f32> {
+        let size = setting.view.size;
+        let samples = setting.strata[0] * setting.strata[1];
+        let mut image = vec![1f32; (size * size) as usize];
+        for (x, y) in setting.view.pixels() {
+            let (ray, _) = setting.view.ray(x, y);
+            let Some(hit) = self.bvh.closest_hit(&ray) else { continue };
+            let pixel = &mut image[(y * size + x) as usize];
+            *pixel = hit.t;
+            if setting.lights.is_empty() {
+                continue;
+            }
+            let [a, b, c] = self.mesh.triangle(hit.prim_index as usize).map(Vec3::from);
+            let normal = (b - a).as_dvec3().cross((c - a).as_dvec3()).normalize_or_zero().as_vec3();
+            let point = a + (b - a) * hit.u + (c - a) * hit.v;
+            let magnitude = a.abs().max(b.abs()).max(c.abs()).max_element();
+            let mut seen = 0u32;
+            for (l, light) in setting.lights.iter().enumerate() {
+                for i in 0..samples {
+                    let (target, _) = light.sample(i, setting.strata, jitter(x, y, l, i));
+                    let origin = offset_origin(point, normal, target - point, magnitude);
+                    seen += u32::from(!self.bvh.any_hit(&Ray::between(origin, target)));
+                }
+            }
+            *pixel = seen as f32 / (samples * setting.lights.len() as u32) as f32;
+        }
+        image
+    }
+}

@@ -1,0 +1,61 @@
+//! Suite `reyes`: subdivision surfaces by ray footprint, as in Djeu 2011, chapter 6, and beyond.
+
+mod cracks;
+mod figures;
+mod frame;
+mod pictures;
+mod scenes;
+mod study;
+
+use crate::rows::{Output, note};
+use anyhow::Result;
+use frame::Shadows;
+use std::path::PathBuf;
+
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Smaller images, fewer passes.
+    pub quick: bool,
+    /// Only scenes whose name contains this.
+    pub only: Option<String>,
+    /// Pixels along a side of images.
+    pub size: u32,
+    /// Only figures whose name contains this.
+    pub figure: Option<String>,
+    /// Folder for pictures, instead of rows.
+    pub pictures: Option<PathBuf>,
+}
+
+impl Options {
+    fn wants(&self, figure: &str) -> bool {
+        self.figure.as_ref().is_none_or(|wanted| figure.contains(wanted.as_str()))
+    }
+
+    /// Pixels along a side: rays without width at their start cost many times as much.
+    fn size_for(&self, shadows: Shadows) -> u32 {
+        if self.quick && shadows != Shadows::FromPixel { self.size / 2 } else { self.size }
+    }
+}
+
+/// Runs the suite.
+///
+/// # Errors
+/// If a mesh can't be read or a row not written.
+pub fn run(options: &Options, output: &mut Output) -> Result<()> {
+    for scene in scenes::all()? {
+        if options.only.as_ref().is_none_or(|only| scene.name.contains(only.as_str())) {
+            note(scene.name);
+            if let Some(folder) = &options.pictures {
+                pictures::write(&scene, options.size, folder)?;
+                continue;
+            }
+            let level = if scene.control.face_sizes.len() < 100 { 8 } else { 4 };
+            let reference = frame::Reference::new(&scene, level)?;
+            figures::run(&scene, options, &reference, output)?;
+            study::run(&scene, options, &reference, output)?;
+            study::cracks(&scene, options, &reference, output)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,124 @@
+//! The head-to-head study that section 6.12 of the dissertation misses: rates by boxes, by final approach and by edges,
+//! with and without cracks.
+
+use super::{
+    Options, cracks,
+    figures::row,
+    frame::{Frame, Method, Reference, Setting, Shadows, render},
+    scenes::Scene,
+};
+use crate::rows::{Output, Row};
+use anyhow::Result;
+use serde_json::json;
+use std::time::Instant;
+use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, TraceOptions};
+
+const MAX_LEVEL: u8 = 9;
+
+fn methods() -> Vec<Method> {
+    let hull = SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(0);
+    let trace = TraceOptions::default().with_max_level(MAX_LEVEL);
+    let published = |rule| TraceOptions::published(rule).with_max_level(MAX_LEVEL);
+    let method = |name, surface, trace| Method { name, surface, trace };
+    let tight = SurfaceOptions::default();
+    let equal = trace.with_rates(Rates::Equal);
+    vec![
+        method("entry", hull, published(FootprintRule::Entry)),
+        method("final-approach", hull, published(FootprintRule::FinalApproach)),
+        method("exact-final-approach", hull, published(FootprintRule::ExactFinalApproach)),
+        method("entry-tight", tight, published(FootprintRule::Entry)),
+        method("entry-stitched", tight, equal),
+        method("final-approach-stitched", tight, trace.with_footprint(FootprintRule::FinalApproach)),
+        method("edges", tight, equal.with_footprint(FootprintRule::Edges)),
+        method("edges-projected", tight, equal.with_footprint(FootprintRule::ProjectedEdges)),
+        method("diagsplit", tight, equal.with_footprint(FootprintRule::DiagSplit)),
+        method("default-open", tight, trace.with_borders(Borders::Open)),
+        method("default", tight, trace),
+        method("default-occluders", tight, trace.with_occluder_cells(64)),
+    ]
+}
+
+/// Rows of all methods for one scene: a normal view with 5 lights, a close view, and random views for cracks.
+pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
+    let (passes, views) = if options.quick { (1, 2) } else { (3, 5) };
+    let lights = scene.lights();
+    let methods = methods();
+    for (name, close, shadows, lit) in [
+        ("study normal", false, Shadows::FromPixel, true),
+        ("study close", true, Shadows::FromPixel, false),
+        ("study point", false, Shadows::FromPoint, true),
+        ("study deferred", false, Shadows::Deferred, true),
+        ("study backward", false, Shadows::Backward, true),
+    ] {
+        if !options.wants(name) {
+            continue;
+        }
+        let size = options.size_for(shadows);
+        let lights = if lit { &lights[..] } else { &[] };
+        let setting = Setting { view: scene.view(close, size), lights, strata: [2, 2], shadows };
+        let truth = reference.render(&setting);
+        // Rates without end near the point take minutes at full size.
+        let chosen =
+            methods.iter().filter(|m| lit && shadows == Shadows::FromPixel || !m.name.contains("exact"));
+        let chosen: Vec<&Method> = chosen.collect();
+        let mut frames: Vec<Vec<Frame>> = chosen.iter().map(|_| Vec::new()).collect();
+        for _ in 0..passes {
+            for (method, frames) in chosen.iter().zip(&mut frames) {
+                frames.push(render(scene, &setting, method)?);
+            }
+        }
+        for (method, own) in chosen.iter().zip(&frames) {
+            let params = json!({
+                "figure": name, "size": size, "lights": lights.len(), "samples": 4,
+                "shadows": format!("{shadows:?}"),
+            });
+            let mut row = row(scene, method, own, &frames[0], params, &truth);
+            if name == "study close" {
+                let found = cracks::count(scene, method, reference, views, size)?;
+                add_found(&mut row, &found);
+            }
+            output.row(&row)?;
+        }
+    }
+    Ok(())
+}
+
+fn add_found(row: &mut Row, found: &cracks::Found) {
+    row.counters["crack_pixels"] = json!(found.cracks);
+    row.counters["crack_rays"] = json!(found.rays);
+    row.counters["depth_error_mean"] = json!(found.mean_error);
+    row.counters["depth_error_max"] = json!(found.max_error);
+    row.counters["foreshortened"] = json!(found.failures);
+}
+
+/// Figures 6.21 to 6.24: pixels with cracks over random views.
+pub fn cracks(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
+    const NAME: &str = "6.14 cracks";
+    if !options.wants(NAME) {
+        return Ok(());
+    }
+    let views = if options.quick { 1 } else { 5 };
+    for method in methods().iter().filter(|m| ["entry", "default-open", "default"].contains(&m.name)) {
+        let start = Instant::now();
+        let found = cracks::count(scene, method, reference, views, options.size)?;
+        let time_s = start.elapsed().as_secs_f64();
+        let mut row = Row {
+            suite: "reyes",
+            scene: scene.name.into(),
+            method: method.name.into(),
+            params: json!({ "figure": NAME, "size": options.size, "views": views }),
+            time_s,
+            build_s: 0.0,
+            mrays_s: found.rays as f64 / time_s * 1e-6,
+            rmse: 0.0,
+            bias: 0.0,
+            bytes: 0,
+            counters: json!({ "published": "7 pixels of 4.2 million with entry footprints" }),
+            baseline: "entry",
+            speedup: 1.0,
+        };
+        add_found(&mut row, &found);
+        output.row(&row)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,96 @@
+//! The hierarchy over boxes whose contents only the caller knows.
+
+use crate::{
+    BackEnd, BuildError, BuildQuality,
+    bvh::MAX_PRIMS,
+    kernel::{Job, Kernel, NodeRay},
+    node::Tree,
+    topology::Topology,
+    traversal::{SortedWalk, just_behind},
+};
+use std::ops::ControlFlow;
+use umbrage_geom::{Aabb, Ray, SlabRay};
+
+/// An 8-wide bounding volume hierarchy over boxes: patches, grids, whatever can say itself where a ray meets it.
+#[derive(Clone, Debug)]
+pub struct BoxBvh {
+    tree: Tree,
+    /// Index of each leaf's box.
+    prims: Vec<u32>,
+    back_end: BackEnd,
+}
+
+impl BoxBvh {
+    /// Builds over `boxes`, of which none may be empty or not finite; takes `O(n log n)` time.
+    ///
+    /// # Errors
+    /// [`BuildError::Box`] for an empty box or one that is not finite; [`BuildError::TooMany`] beyond `2^30` boxes.
+    pub fn build(boxes: &[Aabb], quality: BuildQuality) -> Result<Self, BuildError> {
+        if boxes.len() > MAX_PRIMS {
+            return Err(BuildError::TooMany { what: "boxes", count: boxes.len(), limit: MAX_PRIMS });
+        }
+        if let Some(index) =
+            boxes.iter().position(|b| b.is_empty() || !b.min.is_finite() || !b.max.is_finite())
+        {
+            return Err(BuildError::Box { index });
+        }
+        let (mut tree, mut prims) = (Tree::new(Vec::new()), Vec::new());
+        if !boxes.is_empty() {
+            let topology = Topology::build(boxes, quality, |_| false);
+            prims = topology.leaves.iter().map(|leaf| topology.order[leaf.start as usize]).collect();
+            tree.nodes = topology.nodes;
+            tree.refit(|leaf| boxes[prims[leaf] as usize]);
+        }
+        Ok(Self { tree, prims, back_end: BackEnd::best() })
+    }
+
+    /// Calls `visit` with the index of every box that the segment may enter, roughly from near to far, until it breaks.
+    ///
+    /// `visit` returns where the segment ends from now on: the ray's `tfar`, or the `t` of the nearest hit so far (boxes
+    /// that tie with it after rounding are still visited). A ray that is not [valid](Ray::is_valid) enters no box.
+    pub fn walk(&self, ray: &Ray, visit: impl FnMut(u32) -> ControlFlow<(), f32>) -> ControlFlow<()> {
+        self.back_end.run(WalkBoxes { bvh: self, ray, visit })
+    }
+
+    /// Smallest box around all boxes; empty if there are none.
+    pub fn bounds(&self) -> Aabb {
+        if self.tree.nodes.is_empty() { Aabb::EMPTY } else { self.tree.bounds }
+    }
+
+    /// Bytes that the hierarchy holds.
+    pub fn bytes(&self) -> usize {
+        self.tree.bytes() + size_of_val(&self.prims[..])
+    }
+}
+
+struct WalkBoxes<'a, F> {
+    bvh: &'a BoxBvh,
+    ray: &'a Ray,
+    visit: F,
+}
+
+impl<F: FnMut(u32) -> ControlFlow<(), f32>> Job for WalkBoxes<'_, F> {
+    type Output = ControlFlow<()>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(mut self, kernel: K) -> ControlFlow<()> {
+        let Some(slab) = SlabRay::new(self.ray) else { return ControlFlow::Continue(()) };
+        if self.bvh.tree.nodes.is_empty() {
+            return ControlFlow::Continue(());
+        }
+        let node = NodeRay::new(slab);
+        let mut walk = SortedWalk::new(kernel, &self.bvh.tree, &node);
+        let mut tfar = self.ray.tfar;
+        while let Some(leaf) = walk.next(&mut ()) {
+            match (self.visit)(self.bvh.prims[leaf]) {
+                ControlFlow::Break(()) => return ControlFlow::Break(()),
+                ControlFlow::Continue(t) if t < tfar => {
+                    tfar = t;
+                    walk.set_tfar(just_behind(t).min(self.ray.tfar));
+                }
+                ControlFlow::Continue(_) => {}
+            }
+        }
+        ControlFlow::Continue(())
+    }
+}

@@ -1,0 +1,10 @@
+//! Patches: a face with the faces around it, which can be refined without anything else ([Djeu11], section 5.8.1).
+
+mod bicubic;
+mod node;
+mod ring;
+
+pub use bicubic::Bicubic;
+pub(crate) use bicubic::{Speeds, weights};
+pub(crate) use node::{Children, Kind, Lattice, Node, QUARTERS, TreeContext, quarter_at};
+pub(crate) use ring::Ring;

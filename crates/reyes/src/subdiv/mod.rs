@@ -1,0 +1,13 @@
+//! Catmull-Clark subdivision ([Djeu11], section 5.8.1).
+
+mod fan;
+mod mesh;
+mod rules;
+
+pub(crate) use fan::{Fan, Spoke};
+pub(crate) use mesh::NONE;
+pub use mesh::SubdivisionMesh;
+pub use rules::{BoundaryRule, CreaseMethod, INFINITE_SHARPNESS};
+
+/// Most faces around a vertex, and most corners of a face.
+pub const MAX_VALENCE: usize = 1 << 12;

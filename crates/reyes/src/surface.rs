@@ -1,0 +1,533 @@
+//! A subdivision surface: its patches, how they meet, and points of the limit surface.
+
+use crate::{
+    SurfaceError,
+    length::Lengths,
+    patch::{Kind, Node, Ring, TreeContext},
+    subdiv::{BoundaryRule, CreaseMethod, NONE, SubdivisionMesh},
+};
+use std::{
+    collections::HashMap,
+    sync::{OnceLock, atomic::Ordering::Relaxed},
+};
+use umbrage_geom::{
+    Aabb, PolygonMesh,
+    glam::{DVec3, Vec2, Vec3},
+};
+
+/// Parameters of patches are integers from 0 to this in grids, so that equal points have equal parameters.
+pub(crate) const SIZE: u32 = 1 << 16;
+
+/// Options of [`Surface::build`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SurfaceOptions {
+    /// What happens at the boundary of an open mesh.
+    pub boundary: BoundaryRule,
+    /// How sharpness decays.
+    pub creases: CreaseMethod,
+    /// How patches are bounded.
+    pub bounds: Bounds,
+    /// Levels of preemptive subdivision that tighten the bounds of patches ([Djeu11], section 6.13.5), at most 6.
+    pub tight_levels: u32,
+    /// Bytes that parts of patches may take in all, those of the control mesh left out; what does not fit is computed
+    /// again each time.
+    pub tree_bytes: usize,
+}
+
+impl Default for SurfaceOptions {
+    fn default() -> Self {
+        Self {
+            boundary: BoundaryRule::default(),
+            creases: CreaseMethod::default(),
+            bounds: Bounds::default(),
+            tight_levels: 1,
+            tree_bytes: 256 << 20,
+        }
+    }
+}
+
+impl SurfaceOptions {
+    /// With another [`Self::boundary`].
+    #[must_use]
+    pub fn with_boundary(self, boundary: BoundaryRule) -> Self {
+        Self { boundary, ..self }
+    }
+
+    /// With another [`Self::creases`].
+    #[must_use]
+    pub fn with_creases(self, creases: CreaseMethod) -> Self {
+        Self { creases, ..self }
+    }
+
+    /// With another [`Self::bounds`].
+    #[must_use]
+    pub fn with_bounds(self, bounds: Bounds) -> Self {
+        Self { bounds, ..self }
+    }
+
+    /// With another [`Self::tight_levels`].
+    #[must_use]
+    pub fn with_tight_levels(self, tight_levels: u32) -> Self {
+        Self { tight_levels, ..self }
+    }
+
+    /// With another [`Self::tree_bytes`].
+    #[must_use]
+    pub fn with_tree_bytes(self, tree_bytes: usize) -> Self {
+        Self { tree_bytes, ..self }
+    }
+}
+
+/// How a patch is bounded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Bounds {
+    /// Box of all control points ([Djeu11], section 6.4).
+    Hull,
+    /// Box of the Bezier control points where a patch is regular.
+    #[default]
+    Bezier,
+}
+
+/// A point of the limit surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LimitPoint {
+    /// World units.
+    pub position: Vec3,
+    /// Derivative by `u`, world units a patch. At corners of irregular patches only its direction means anything.
+    pub du: DVec3,
+    /// Derivative by `v`.
+    pub dv: DVec3,
+    /// Unit normal, to the side from which the control mesh's faces run counter-clockwise; zero where there is none.
+    pub normal: Vec3,
+}
+
+impl LimitPoint {
+    pub(crate) fn new(position: Vec3, [du, dv]: [DVec3; 2]) -> Self {
+        Self { position, du, dv, normal: Vec3::ZERO }
+            .with_normal(du.normalize_or_zero().cross(dv.normalize_or_zero()))
+    }
+
+    pub(crate) fn with_normal(self, normal: DVec3) -> Self {
+        Self { normal: normal.normalize_or_zero().as_vec3(), ..self }
+    }
+}
+
+/// How an edge of a patch, or half of it, meets a neighbour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Meeting {
+    /// Both edges are the same curve.
+    Whole,
+    /// The neighbour's edge is this half of the own one.
+    OtherIsHalf,
+    /// The own edge is the lower or upper half of the neighbour's.
+    OwnIsHalf { upper: bool },
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Link {
+    /// [`NONE`] at a boundary.
+    pub(crate) patch: u32,
+    pub(crate) edge: u8,
+    pub(crate) meeting: Meeting,
+}
+
+#[derive(Debug)]
+pub(crate) struct Patch {
+    pub(crate) root: Node,
+    /// Face of the control mesh.
+    pub(crate) face: u32,
+    /// Corner of the face that a part of a face with other than four corners belongs to.
+    pub(crate) part: Option<u32>,
+    /// Indices of limit positions.
+    pub(crate) corners: [u32; 4],
+    /// For each edge, from corner `k` to the next, its first and its second half.
+    pub(crate) links: [[Link; 2]; 4],
+    pub(crate) lengths: Lengths,
+    pub(crate) bounds: Aabb,
+    /// See [`Surface::edge_points`].
+    edge_points: [OnceLock<[Vec3; 5]>; 4],
+}
+
+/// Numbers of Reyes operations done on a surface ([Djeu11], section 5.4); see also [`crate::TraceCounts`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SurfaceCounts {
+    /// Patches and parts of patches bounded.
+    pub bound: u64,
+    /// Patches and parts split into four.
+    pub split: u64,
+}
+
+/// A Catmull-Clark surface as patches, one for each quadrilateral of the control mesh and `n` for each other face.
+///
+/// Patches are refined where somebody asks, and keep what was made. Points depend on patch and parameters alone.
+#[derive(Debug)]
+pub struct Surface {
+    pub(crate) patches: Vec<Patch>,
+    corner_limits: Vec<Vec3>,
+    pub(crate) context: TreeContext,
+    uvs: Option<Box<Surface>>,
+    bounds: Aabb,
+}
+
+/// Where `edge` of a patch is at `s` from its start, in units of [`SIZE`].
+pub(crate) fn on_edge(edge: usize, s: u32) -> (u32, u32) {
+    match edge {
+        0 => (s, 0),
+        1 => (SIZE, s),
+        2 => (SIZE - s, SIZE),
+        _ => (0, SIZE - s),
+    }
+}
+
+impl Surface {
+    /// Checks the control mesh and makes its patches; takes linear time.
+    ///
+    /// Texture coordinates become a surface of their own, smooth inside and with seams as boundary curves.
+    ///
+    /// # Errors
+    /// [`SurfaceError`]; of options [`SurfaceOptions::tight_levels`] beyond 6.
+    pub fn build(control: &PolygonMesh, options: &SurfaceOptions) -> Result<Self, SurfaceError> {
+        if options.tight_levels > 6 {
+            let value = options.tight_levels.into();
+            return Err(SurfaceError::Option { name: "tight_levels", value, expected: "0 to 6" });
+        }
+        let mesh = SubdivisionMesh::new(control, options.boundary, options.creases)?;
+        let mut surface = Self::from_mesh(&mesh, options);
+        if !control.corner_uvs.is_empty() {
+            let uv_options = SurfaceOptions {
+                boundary: BoundaryRule::EdgeAndCorner,
+                tight_levels: 0,
+                tree_bytes: options.tree_bytes / 4,
+                ..*options
+            };
+            let uv_mesh = SubdivisionMesh::new(&uv_control(control)?, uv_options.boundary, options.creases)?;
+            surface.uvs = Some(Box::new(Self::from_mesh(&uv_mesh, &uv_options)));
+        }
+        Ok(surface)
+    }
+
+    fn from_mesh(mesh: &SubdivisionMesh, options: &SurfaceOptions) -> Self {
+        let context = TreeContext {
+            method: mesh.crease_method(),
+            bezier_bounds: options.bounds == Bounds::Bezier,
+            limit: options.tree_bytes,
+            bytes: 0.into(),
+            bounds: 0.into(),
+            splits: 0.into(),
+        };
+        let builder = Builder::new(mesh, &context);
+        let (mut patches, corner_limits) = builder.build();
+        let mut bounds = Aabb::EMPTY;
+        for patch in &mut patches {
+            patch.bounds = patch.root.tight_bounds(options.tight_levels, &context);
+            bounds = bounds.union(patch.bounds);
+        }
+        Self { patches, corner_limits, context, uvs: None, bounds }
+    }
+
+    /// Number of patches.
+    pub fn patch_count(&self) -> usize {
+        self.patches.len()
+    }
+
+    /// The face of the control mesh that a patch belongs to, and its corner if the face has other than four.
+    ///
+    /// # Panics
+    /// If `patch` is out of range.
+    pub fn face_of(&self, patch: u32) -> (u32, Option<u32>) {
+        let patch = &self.patches[patch as usize];
+        (patch.face, patch.part)
+    }
+
+    /// Whether a patch is one bicubic B-spline, and which.
+    ///
+    /// # Panics
+    /// If `patch` is out of range.
+    pub fn bicubic(&self, patch: u32) -> Option<&crate::Bicubic> {
+        match &self.patches[patch as usize].root.kind {
+            Kind::Regular(bicubic) => Some(bicubic),
+            _ => None,
+        }
+    }
+
+    /// The Reyes operation bound: a box that holds every micropolygon of the patch at any rate.
+    ///
+    /// # Panics
+    /// If `patch` is out of range.
+    pub fn patch_bounds(&self, patch: u32) -> Aabb {
+        self.patches[patch as usize].bounds
+    }
+
+    /// A box around all patches.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// The limit surface at `u`, `v`, clamped to `[0, 1]`; corner `k` of the face is at (0, 0), (1, 0), (1, 1), (0, 1).
+    ///
+    /// # Panics
+    /// If `patch` is out of range.
+    pub fn limit(&self, patch: u32, u: f32, v: f32) -> LimitPoint {
+        let [u, v] = [u, v].map(|x| f64::from(if x.is_nan() { 0.0 } else { x.clamp(0.0, 1.0) }));
+        self.patches[patch as usize].root.limit(u, v, &self.context)
+    }
+
+    /// Texture coordinates at `u`, `v` of a patch, if the control mesh had any.
+    ///
+    /// # Panics
+    /// If `patch` is out of range.
+    pub fn uv(&self, patch: u32, u: f32, v: f32) -> Option<Vec2> {
+        let point = self.uvs.as_ref()?.limit(patch, u, v);
+        Some(Vec2::new(point.position.x, point.position.y))
+    }
+
+    /// Operations done so far, by building and by all that looked.
+    pub fn counts(&self) -> SurfaceCounts {
+        SurfaceCounts { bound: self.context.bounds.load(Relaxed), split: self.context.splits.load(Relaxed) }
+    }
+
+    /// Bytes of the surface as refined so far.
+    pub fn bytes(&self) -> usize {
+        let nodes: usize = self.patches.iter().map(|p| p.root.total_bytes()).sum();
+        nodes
+            + size_of_val(&self.corner_limits[..])
+            + self.patches.len() * (size_of::<Patch>() - size_of::<Node>())
+            + self.uvs.as_ref().map_or(0, |uvs| uvs.bytes())
+    }
+
+    /// The limit position of corner `k` of a patch.
+    pub(crate) fn corner(&self, patch: u32, k: usize) -> Vec3 {
+        self.corner_limits[self.patches[patch as usize].corners[k % 4] as usize]
+    }
+
+    /// Points at quarters of an edge.
+    pub(crate) fn edge_points(&self, patch: u32, edge: usize) -> [Vec3; 5] {
+        let known = &self.patches[patch as usize].edge_points[edge];
+        *known.get_or_init(|| [0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (SIZE / 4))))
+    }
+
+    /// The point at `s` of [`SIZE`] along an edge: the same bits from both sides.
+    pub(crate) fn edge_position(&self, patch: u32, edge: usize, s: u32) -> Vec3 {
+        let own = &self.patches[patch as usize];
+        if s == 0 || s == SIZE {
+            return self.corner(patch, edge + usize::from(s == SIZE));
+        }
+        let link = own.links[edge][usize::from(2 * s >= SIZE)];
+        let (owner, edge, s) = match link.meeting {
+            Meeting::OtherIsHalf if 2 * s == SIZE => return self.corner(own.links[edge][0].patch, 3),
+            Meeting::OwnIsHalf { upper } if link.patch != NONE => {
+                (link.patch, usize::from(link.edge), if upper { SIZE } else { SIZE / 2 } - s / 2)
+            }
+            Meeting::Whole if link.patch < patch => (link.patch, usize::from(link.edge), SIZE - s),
+            _ => (patch, edge, s),
+        };
+        let (u, v) = on_edge(edge, s);
+        self.patches[owner as usize].root.position(u, v, SIZE, &self.context)
+    }
+}
+
+/// The control mesh of the texture: one vertex for each different coordinate of a vertex.
+fn uv_control(control: &PolygonMesh) -> Result<PolygonMesh, SurfaceError> {
+    let expected = control.corners.len();
+    if control.corner_uvs.len() != expected {
+        return Err(SurfaceError::UvCount { count: control.corner_uvs.len(), expected });
+    }
+    let mut uv = PolygonMesh { face_sizes: control.face_sizes.clone(), ..PolygonMesh::default() };
+    let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
+    for (corner, (&v, &[x, y])) in control.corners.iter().zip(&control.corner_uvs).enumerate() {
+        if !x.is_finite() || !y.is_finite() {
+            return Err(SurfaceError::UvNotFinite { corner });
+        }
+        // Adding 0 makes one of both zeros.
+        let index = *known.entry((v, [x + 0.0, y + 0.0].map(f32::to_bits))).or_insert_with(|| {
+            uv.positions.push([x, y, 0.0]);
+            uv.positions.len() as u32 - 1
+        });
+        uv.corners.push(index);
+    }
+    let creases: HashMap<[u32; 2], f32> =
+        control.creases.iter().flat_map(|&([a, b], s)| [([a, b], s), ([b, a], s)]).collect();
+    let sharp: HashMap<u32, f32> = control.sharp_vertices.iter().copied().collect();
+    let mut start = 0;
+    for face in control.faces() {
+        for i in 0..face.len() {
+            let next = (i + 1) % face.len();
+            if let Some(&s) = creases.get(&[face[i], face[next]]) {
+                uv.creases.push(([uv.corners[start + i], uv.corners[start + next]], s));
+            }
+            if let Some(&s) = sharp.get(&face[i]) {
+                uv.sharp_vertices.push((uv.corners[start + i], s));
+            }
+        }
+        start += face.len();
+    }
+    Ok(uv)
+}
+
+/// Makes patches from a mesh and its first refinement.
+struct Builder<'a> {
+    mesh: &'a SubdivisionMesh,
+    /// One level further, if the mesh has other faces than quadrilaterals.
+    fine: Option<SubdivisionMesh>,
+    /// First patch of each face.
+    first: Vec<u32>,
+    context: &'a TreeContext,
+}
+
+impl<'a> Builder<'a> {
+    fn new(mesh: &'a SubdivisionMesh, context: &'a TreeContext) -> Self {
+        let mut first = Vec::with_capacity(mesh.face_count());
+        let mut count = 0;
+        for face in 0..mesh.face_count() {
+            first.push(count);
+            let size = mesh.face(face).len() as u32;
+            count += if size == 4 { 1 } else { size };
+        }
+        let fine = (count as usize != mesh.face_count()).then(|| mesh.refine());
+        Self { mesh, fine, first, context }
+    }
+
+    fn is_quad(&self, face: usize) -> bool {
+        self.mesh.face(face).len() == 4
+    }
+
+    fn build(&self) -> (Vec<Patch>, Vec<Vec3>) {
+        let positions = self.fine.as_ref().unwrap_or(self.mesh).positions.len();
+        let mut limits = vec![Vec3::NAN; positions];
+        let mut patches = Vec::new();
+        for face in 0..self.mesh.face_count() {
+            let start = self.mesh.face(face).start;
+            if self.is_quad(face) {
+                let corners = [0, 1, 2, 3].map(|k| self.mesh.corners[(start + k) as usize]);
+                let links = [0, 1, 2, 3].map(|k| self.quad_links(start + k));
+                let root = self.quad_root(face, &corners, &mut limits);
+                patches.push(self.patch(root, face, None, corners, links));
+                continue;
+            }
+            let Some(fine) = &self.fine else { continue };
+            for h in self.mesh.face(face) {
+                let ring = fine_ring(fine, h, 0);
+                let corners = [0, 1, 2, 3].map(|k| fine.corners[(4 * h + k) as usize]);
+                self.set_limits(&ring, &corners, &mut limits);
+                let root = Node::from_ring(ring, self.context);
+                let links = self.part_links(h);
+                patches.push(self.patch(root, face, Some(h - start), corners, links));
+            }
+        }
+        (patches, limits)
+    }
+
+    fn patch(
+        &self,
+        root: Node,
+        face: usize,
+        part: Option<u32>,
+        corners: [u32; 4],
+        links: [[Link; 2]; 4],
+    ) -> Patch {
+        let bounds = root.bounds;
+        let lengths = Lengths::new(matches!(root.kind, Kind::Regular(_)));
+        Patch {
+            root,
+            face: face as u32,
+            part,
+            corners,
+            links,
+            lengths,
+            bounds,
+            edge_points: Default::default(),
+        }
+    }
+
+    fn set_limits(&self, ring: &Ring, corners: &[u32; 4], limits: &mut [Vec3]) {
+        for k in 0..4 {
+            let limit = &mut limits[corners[k] as usize];
+            if limit.is_nan() {
+                *limit = ring.limit(k, self.context.method).as_vec3();
+            }
+        }
+    }
+
+    fn quad_root(&self, face: usize, corners: &[u32; 4], limits: &mut [Vec3]) -> Node {
+        let start = self.mesh.face(face).start;
+        match &self.fine {
+            Some(fine) if !self.mesh.has_quad_ring(face) => {
+                let rings = [0, 1, 2, 3].map(|k| fine_ring(fine, start + k, k as usize));
+                for k in 0..4 {
+                    let limit = &mut limits[corners[k] as usize];
+                    if limit.is_nan() {
+                        *limit = rings[k].limit(k, self.context.method).as_vec3();
+                    }
+                }
+                Node::forked(rings.map(|ring| Node::from_ring(ring, self.context)))
+            }
+            _ => {
+                let ring = ring(self.mesh, [0, 1, 2, 3].map(|k| start + k));
+                self.set_limits(&ring, corners, limits);
+                Node::from_ring(ring, self.context)
+            }
+        }
+    }
+
+    /// The part of its face that corner `h` belongs to, a patch.
+    fn part(&self, h: u32) -> u32 {
+        let face = self.mesh.face_of(h);
+        self.first[face] + (h - self.mesh.face(face).start)
+    }
+
+    /// Neighbours of the edge `h` of a quadrilateral.
+    fn quad_links(&self, h: u32) -> [Link; 2] {
+        let twin = self.mesh.twins[h as usize];
+        if twin == NONE {
+            return [Link { patch: NONE, edge: 0, meeting: Meeting::Whole }; 2];
+        }
+        let face = self.mesh.face_of(twin);
+        if self.is_quad(face) {
+            let edge = (twin - self.mesh.face(face).start) as u8;
+            return [Link { patch: self.first[face], edge, meeting: Meeting::Whole }; 2];
+        }
+        let meeting = Meeting::OtherIsHalf;
+        [
+            Link { patch: self.part(self.mesh.next(twin)), edge: 3, meeting },
+            Link { patch: self.part(twin), edge: 0, meeting },
+        ]
+    }
+
+    /// Neighbours of the part of a face at its corner `h`: edges 0 and 3 are halves of edges of the face.
+    fn part_links(&self, h: u32) -> [[Link; 2]; 4] {
+        let (next, previous) = (self.mesh.next(h), self.mesh.previous(h));
+        let inner = |h: u32, edge: u8| [Link { patch: self.part(h), edge, meeting: Meeting::Whole }; 2];
+        // The half of edge `h` at its start (`upper` of the twin), or at its end.
+        let outer = |h: u32, at_start: bool| {
+            let twin = self.mesh.twins[h as usize];
+            if twin == NONE {
+                return [Link { patch: NONE, edge: 0, meeting: Meeting::Whole }; 2];
+            }
+            let face = self.mesh.face_of(twin);
+            let link = if self.is_quad(face) {
+                let edge = (twin - self.mesh.face(face).start) as u8;
+                Link { patch: self.first[face], edge, meeting: Meeting::OwnIsHalf { upper: at_start } }
+            } else if at_start {
+                Link { patch: self.part(self.mesh.next(twin)), edge: 3, meeting: Meeting::Whole }
+            } else {
+                Link { patch: self.part(twin), edge: 0, meeting: Meeting::Whole }
+            };
+            [link; 2]
+        };
+        [outer(h, true), inner(next, 2), inner(previous, 1), outer(previous, false)]
+    }
+}
+
+/// The ring of a face with the given corners.
+fn ring(mesh: &SubdivisionMesh, corners: [u32; 4]) -> Ring {
+    let fans = corners.map(|h| mesh.fan(h));
+    let own = [0, 1, 2, 3].map(|k| fans[k].1);
+    Ring { fans: fans.map(|(fan, _)| fan), own }
+}
+
+/// The ring of face `face` of a refined mesh, its first corner as corner `turn`.
+fn fine_ring(fine: &SubdivisionMesh, face: u32, turn: usize) -> Ring {
+    ring(fine, [0, 1, 2, 3].map(|k| 4 * face + ((k + 4 - turn) % 4) as u32))
+}
