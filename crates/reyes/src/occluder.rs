@@ -1,4 +1,4 @@
-//! Opaque cells of closed surfaces: a shadow ray through one is blocked, and nothing is diced ([Djeu11], section 4.9.2).
+//! Opaque cells of closed surfaces: a shadow ray through one is blocked, and nothing is diced (Djeu 2011, section 4.9.2).
 //!
 //! Cells of a lattice that no patch's box touches lie wholly inside or wholly outside of every tessellation, since those lie
 //! within the boxes. A segment from a cell inside to a light outside must cross the tessellation that the ray sees, where

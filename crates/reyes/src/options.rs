@@ -2,17 +2,17 @@
 
 use crate::{SurfaceError, length::MAX_LEVEL};
 
-/// Where along the ray the footprint that sets a patch's rate is taken ([Djeu11], section 6.7).
+/// Where along the ray the footprint that sets a patch's rate is taken (Djeu 2011, section 6.7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum FootprintRule {
-    /// Where the ray enters the patch's box, or leaves it if it converges (Christensen et al. 2006; [Djeu11], 6.8).
+    /// Where the ray enters the patch's box, or leaves it if it converges (Christensen et al. 2006; Djeu 2011, 6.8).
     #[default]
     Entry,
     /// Where it meets the two triangles between the patch's corners, and at entry where it misses them
-    /// ([Djeu11], section 6.10). The threshold is met but for the curvature of the patch.
+    /// (Djeu 2011, section 6.10). The threshold is met but for the curvature of the patch.
     FinalApproach,
-    /// Where it enters the first of the patch's parts, split while that lowers the rate ([Djeu11], section 6.9).
+    /// Where it enters the first of the patch's parts, split while that lowers the rate (Djeu 2011, section 6.9).
     ExactFinalApproach,
     /// By the edges of the patch, each at the place of the ray nearest to it (Owens et al. 2002): as many segments as their
     /// length in footprints. The inside of a patch is divided as its edges are and meets no threshold. Neighbours agree on
@@ -89,7 +89,7 @@ impl Default for TraceOptions {
 }
 
 impl TraceOptions {
-    /// As [Djeu11] has it: equal rates, cracks where they form.
+    /// As Djeu 2011 has it: equal rates, cracks where they form.
     pub fn published(footprint: FootprintRule) -> Self {
         Self { footprint, borders: Borders::Open, rates: Rates::Equal, ..Self::default() }
     }

@@ -28,7 +28,7 @@ pub struct SurfaceOptions {
     pub creases: CreaseMethod,
     /// How patches are bounded.
     pub bounds: Bounds,
-    /// Levels of preemptive subdivision that tighten the bounds of patches ([Djeu11], section 6.13.5), at most 6.
+    /// Levels of preemptive subdivision that tighten the bounds of patches (Djeu 2011, section 6.13.5), at most 6.
     pub tight_levels: u32,
     /// Bytes that parts of patches may take in all, those of the control mesh left out; what does not fit is computed
     /// again each time.
@@ -83,7 +83,7 @@ impl SurfaceOptions {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Bounds {
-    /// Box of all control points ([Djeu11], section 6.4).
+    /// Box of all control points (Djeu 2011, section 6.4).
     Hull,
     /// Box of the Bezier control points where a patch is regular.
     #[default]
@@ -150,7 +150,7 @@ pub(crate) struct Patch {
     edge_points: [OnceLock<[Vec3; 5]>; 4],
 }
 
-/// Numbers of Reyes operations done on a surface ([Djeu11], section 5.4); see also [`crate::TraceCounts`].
+/// Numbers of Reyes operations done on a surface (Djeu 2011, section 5.4); see also [`crate::TraceCounts`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SurfaceCounts {
     /// Patches and parts of patches bounded.

@@ -148,7 +148,7 @@ impl SurfaceTracer {
         self.query(ray, differential, state, false)?.closest.map(|(hit, ..)| hit)
     }
 
-    /// [`Self::any_hit`] with the patches nearest to the segment's end tried first ([Djeu11], section 6.15, the deferment
+    /// [`Self::any_hit`] with the patches nearest to the segment's end tried first (Djeu 2011, section 6.15, the deferment
     /// list): an occluder there, where a diverging ray is wide, spares the fine rates near the origin.
     ///
     /// The answer is that of [`Self::any_hit`].
@@ -297,7 +297,7 @@ impl SurfaceTracer {
         hits.into_iter().flatten().map(|hit| f64::from(hit.t)).reduce(f64::min)
     }
 
-    /// [Djeu11], section 6.9, with one rate for the whole patch: the footprint is that over all parts the ray enters.
+    /// Djeu 2011, section 6.9, with one rate for the whole patch: the footprint is that over all parts the ray enters.
     fn exact_approach(&self, patch: u32, ray: &GridRay, width: &Width, interval: [f64; 2]) -> [u8; 2] {
         let mut levels = self.levels_for(patch, width.least(interval[0], interval[1]));
         let mut frontier = vec![NodeRef::Stored(&self.surface.patches[patch as usize].root)];

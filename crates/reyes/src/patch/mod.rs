@@ -1,4 +1,4 @@
-//! Patches: a face with the faces around it, which can be refined without anything else ([Djeu11], section 5.8.1).
+//! Patches: a face with the faces around it, which can be refined without anything else (Djeu 2011, section 5.8.1).
 
 mod bicubic;
 mod node;

@@ -182,7 +182,7 @@ impl Node {
         }
     }
 
-    /// Bounds after `levels` of preemptive subdivision ([Djeu11], section 6.13.5).
+    /// Bounds after `levels` of preemptive subdivision (Djeu 2011, section 6.13.5).
     pub(crate) fn tight_bounds(&self, levels: u32, context: &TreeContext) -> Aabb {
         if levels == 0 {
             return self.bounds;

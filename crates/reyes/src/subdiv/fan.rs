@@ -144,7 +144,7 @@ impl Fan {
         fan
     }
 
-    /// Limit position ([Djeu11], figure 5.3).
+    /// Limit position (Djeu 2011, figure 5.3).
     pub(crate) fn limit(&self, method: CreaseMethod) -> DVec3 {
         let fan = self.settled(method);
         match fan.rule() {
@@ -159,7 +159,7 @@ impl Fan {
     }
 
     /// Two limit tangents of the side that face `face` lies on, of no particular length, with their cross product to the
-    /// front ([Djeu11], figure 5.4).
+    /// front (Djeu 2011, figure 5.4).
     ///
     /// Departures: a crease with one face has no tangent across; there the corner's own plane is the limit. The figure's
     /// stencil across a crease belongs to an iteration stencil of eigenvalue 1/2; ours is that of the iteration in use, and

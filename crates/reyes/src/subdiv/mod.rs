@@ -1,4 +1,4 @@
-//! Catmull-Clark subdivision ([Djeu11], section 5.8.1).
+//! Catmull-Clark subdivision (Djeu 2011, section 5.8.1).
 
 mod fan;
 mod mesh;

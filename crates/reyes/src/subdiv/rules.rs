@@ -1,4 +1,4 @@
-//! Iteration stencils ([Djeu11], figure 5.2) with semi-sharp creases (DeRose, Kass and Truong 1998).
+//! Iteration stencils (Djeu 2011, figure 5.2) with semi-sharp creases (DeRose, Kass and Truong 1998).
 //!
 //! Here: one vertex or edge, from the points around it. Not here: where those come from (`mesh.rs` for whole meshes, `fan.rs`
 //! for one-rings), limits (`fan.rs`).
