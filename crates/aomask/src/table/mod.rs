@@ -24,6 +24,7 @@ use edge::EdgeTable;
 use node_mask::{NodeLookup, Silhouettes};
 use plane::PlaneTable;
 use traversal::{Scene, Stack};
+use triangle_mask::TriangleTables;
 use umbrage_accel::Bvh;
 use umbrage_geom::glam::Vec3;
 
@@ -129,6 +130,14 @@ impl<const W: usize> TableSet<W> {
         }
     }
 
+    fn directions(&self) -> &PlaneTable<W> {
+        self.circles.as_ref().unwrap_or(&self.planes)
+    }
+
+    fn triangle_tables(&self) -> TriangleTables<'_, W> {
+        TriangleTables { edges: &self.edges, planes: &self.planes, directions: self.directions() }
+    }
+
     fn bytes(&self) -> usize {
         let circles = self.circles.as_ref().map_or(0, PlaneTable::bytes);
         self.edges.bytes() + self.planes.bytes() + circles + self.rims.bytes()
@@ -231,16 +240,12 @@ impl MaskTables {
         bvh: &'a Bvh,
         options: &MaskOptions,
     ) -> Scene<'a, W> {
-        let (directions, ends) = match &set.circles {
-            Some(directions) => (directions, Some(&set.planes)),
-            None => (&set.planes, None),
-        };
+        let (directions, ends) = (set.directions(), set.circles.as_ref().map(|_| &set.planes));
         Scene {
             view: bvh.view(),
             bounds: bvh.bounds(),
             pattern: &self.pattern,
-            edges: &set.edges,
-            planes: &set.planes,
+            triangles: set.triangle_tables(),
             nodes: NodeLookup { directions, ends, rims: &set.rims, silhouettes: &self.silhouettes },
             node_masks: self.options.node_masks,
             radius: options.radius,
