@@ -220,8 +220,9 @@ fn jitters(options: &PatternOptions, lowest: f32) -> Box<[Jitter]> {
     let seed = combine(options.seed, 0x6a69_7474);
     let jitter = |i| {
         let [turn, x, y, _] = sobol_4d(i, 0, seed);
-        let rotation = Rotation::from_turns((turn - 0.5) * options.rotation).apply(Vec3::X);
-        let tilt = concentric_disc(Vec2::new(x, y)) * (options.tilt * lowest);
+        let rotation = Rotation::from_turns((turn - 0.5) * options.rotation).apply(Vec3::X) + 0.0;
+        // Adding 0 takes the sign from -0, which frames would see.
+        let tilt = concentric_disc(Vec2::new(x, y)) * (options.tilt * lowest) + 0.0;
         Jitter { rotation: rotation.truncate(), normal: lift(tilt) }
     };
     (0..JITTERS).map(jitter).collect()

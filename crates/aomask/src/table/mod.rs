@@ -15,6 +15,9 @@ mod triangle_mask;
 pub use node_mask::NodeMasks;
 pub use statistics::{TableCounters, TableStatistics};
 
+pub(crate) use lanes::{F8, V8};
+pub(crate) use triangle_mask::{TriangleTables, Triangles};
+
 use crate::{
     BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver,
     drive::{self, Engine},
@@ -24,7 +27,6 @@ use edge::EdgeTable;
 use node_mask::{NodeLookup, Silhouettes};
 use plane::PlaneTable;
 use traversal::{Scene, Stack};
-use triangle_mask::TriangleTables;
 use umbrage_accel::Bvh;
 use umbrage_geom::glam::Vec3;
 
@@ -83,7 +85,7 @@ pub struct MaskTables {
 
 /// Tables with masks of as many words as the pattern needs, rounded up to a power of two.
 #[derive(Clone, Debug)]
-enum Tables {
+pub(crate) enum Tables {
     W1(TableSet<1>),
     W2(TableSet<2>),
     W4(TableSet<4>),
@@ -95,17 +97,18 @@ enum Tables {
 macro_rules! with_set {
     ($tables:expr, $set:ident => $body:expr) => {
         match $tables {
-            Tables::W1($set) => $body,
-            Tables::W2($set) => $body,
-            Tables::W4($set) => $body,
-            Tables::W8($set) => $body,
-            Tables::W16($set) => $body,
+            $crate::table::Tables::W1($set) => $body,
+            $crate::table::Tables::W2($set) => $body,
+            $crate::table::Tables::W4($set) => $body,
+            $crate::table::Tables::W8($set) => $body,
+            $crate::table::Tables::W16($set) => $body,
         }
     };
 }
+pub(crate) use with_set;
 
 #[derive(Clone, Debug)]
-struct TableSet<const W: usize> {
+pub(crate) struct TableSet<const W: usize> {
     /// Edges of triangles, by directions.
     edges: EdgeTable<W>,
     /// Planes of triangles, by ends of rays in radii.
@@ -134,7 +137,7 @@ impl<const W: usize> TableSet<W> {
         self.circles.as_ref().unwrap_or(&self.planes)
     }
 
-    fn triangle_tables(&self) -> TriangleTables<'_, W> {
+    pub(crate) fn triangle_tables(&self) -> TriangleTables<'_, W> {
         TriangleTables { edges: &self.edges, planes: &self.planes, directions: self.directions() }
     }
 
@@ -234,6 +237,19 @@ impl MaskTables {
         Ok(counters)
     }
 
+    pub(crate) fn sets(&self) -> &Tables {
+        &self.tables
+    }
+
+    /// Rays of no length, and bits without a ray: they count as blocked from the start.
+    pub(crate) fn closed_rays<const W: usize>(&self) -> [u64; W] {
+        let mut closed = [!0; W];
+        for (i, _) in self.pattern.lengths().iter().enumerate().filter(|&(_, &length)| length > 0.0) {
+            closed[i / 64] &= !(1 << (i % 64));
+        }
+        closed
+    }
+
     fn scene<'a, const W: usize>(
         &'a self,
         set: &'a TableSet<W>,
@@ -305,11 +321,7 @@ impl<const W: usize, S: TableStatistics> Job for Counted<'_, '_, W, S> {
     fn run(self) {
         let Block { tables, scene, receivers, masks, stack } = self.block;
         let pattern = &tables.pattern;
-        // Rays of no length and bits without a ray count as blocked from the start.
-        let mut closed = [!0; W];
-        for (i, _) in pattern.lengths().iter().enumerate().filter(|&(_, &length)| length > 0.0) {
-            closed[i / 64] &= !(1 << (i % 64));
-        }
+        let closed = tables.closed_rays();
         for (receiver, out) in receivers.iter().zip(masks.chunks_mut(pattern.words())) {
             let blocked = scene.blocked(receiver, closed, stack, self.stats);
             out.iter_mut().enumerate().for_each(|(w, out)| *out = blocked[w] & !closed[w]);
