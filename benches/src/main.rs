@@ -34,9 +34,12 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Only this part of the suite aomask: targets, table1.
+    /// Only this part of the suite aomask: targets, table1, table2, figure5, figure6, figure7.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
+    /// Folder for the pictures of the suite aomask.
+    #[arg(long, value_name = "FOLDER")]
+    images: Option<PathBuf>,
 }
 
 fn main() -> Result<()> {
@@ -53,8 +56,8 @@ fn main() -> Result<()> {
             anyhit::run(&anyhit::Options { quick, peers, threads, only }, &mut output)
         }
         "aomask" => {
-            let Arguments { quick, peers, only, part, .. } = arguments;
-            aomask::run(&aomask::Options { quick, peers, only, part }, &mut output)
+            let Arguments { quick, peers, only, part, images, .. } = arguments;
+            aomask::run(&aomask::Options { quick, peers, only, part, images }, &mut output)
         }
         "stability" => {
             let Arguments { quick, peers, only, .. } = arguments;

@@ -175,7 +175,11 @@ impl Pattern {
     }
 
     /// The rays of `receiver`, `radius` in world units; see the [module](self) for the arithmetic.
-    pub fn rays_of(&self, receiver: &Receiver, radius: f32) -> impl ExactSizeIterator<Item = Ray> + '_ {
+    pub fn rays_of<'a>(
+        &'a self,
+        receiver: &Receiver,
+        radius: f32,
+    ) -> impl ExactSizeIterator<Item = Ray> + use<'a> {
         let (frame, origin) = (self.frame_of(receiver), receiver.point());
         self.directions.iter().zip(&self.lengths).map(move |(&d, &length)| Ray {
             origin,

@@ -15,10 +15,14 @@ mod camera;
 mod lod;
 mod outline;
 mod shape;
+#[cfg(feature = "simplify")]
+mod simplify;
 mod tile;
 
 pub use camera::RasterCamera;
 pub use lod::{RasterLevel, RasterOptions};
+#[cfg(feature = "simplify")]
+pub use simplify::{SimplifiedLevel, simplified_levels};
 pub use tile::RasterCounters;
 
 use crate::{MaskError, MaskOptions, MaskTables, Outputs, Receiver, drive, table::TableSet};
