@@ -25,18 +25,17 @@ pub(crate) fn run<E: Engine>(
     engine: &E,
     pattern: &Pattern,
     options: &MaskOptions,
-    points: &[[f32; 3]],
-    normals: &[[f32; 3]],
+    receivers: &[Receiver],
     outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), MaskError> {
     options.validate(pattern)?;
-    outputs.validate(points.len(), pattern.words())?;
-    let receivers = receivers(points, normals, options.seed)?;
-    let order = morton::order(points);
+    outputs.validate(receivers.len(), pattern.words())?;
+    let points: Vec<[f32; 3]> = receivers.iter().map(|receiver| receiver.point().to_array()).collect();
+    let order = morton::order(&points);
     let progress = Progress::new(order.len().div_ceil(BLOCK) as u64, progress);
     let words = pattern.words();
-    let masks = blocks(engine, &receivers, &order, words, &progress)?;
+    let masks = blocks(engine, receivers, &order, words, &progress)?;
     progress.finish()?;
     write(pattern, outputs, &masks, order.iter().map(|&i| (i as usize, Some(&receivers[i as usize]))));
     Ok(())
@@ -64,7 +63,14 @@ pub(crate) fn write<'a>(
 }
 
 /// Checked receivers; `i` has the seed `combine(seed, i)`.
-fn receivers(points: &[[f32; 3]], normals: &[[f32; 3]], seed: u32) -> Result<Vec<Receiver>, MaskError> {
+///
+/// # Errors
+/// [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`].
+pub(crate) fn receivers(
+    points: &[[f32; 3]],
+    normals: &[[f32; 3]],
+    seed: u32,
+) -> Result<Vec<Receiver>, MaskError> {
     if points.len() != normals.len() {
         let (actual, expected) = (normals.len(), points.len());
         return Err(MaskError::Length { what: "normals", actual, expected, points: expected });

@@ -205,6 +205,25 @@ fn bakes_reach_every_kind_of_output() {
 }
 
 #[test]
+fn masks_bake_given_points_and_write_down_their_rays() {
+    let folder = Folder::new();
+    let points = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+        property float nx\nproperty float ny\nproperty float nz\nend_header\n0.2 0.2 -0.5 0 0 1\n5 5 5 0 1 0\n";
+    fs::write(folder.path("points.ply"), points).unwrap();
+    let bake = "bake mesh.obj --points points.ply --method mask-table";
+    folder.ok(&format!("{bake} -o ao.ply --rays 64 --radius 2 --dump-rays rays.bin --stats stats.json"));
+    let values = ao(&folder.path("ao.ply"));
+    assert!(values[0] < 0.9 && values[1] == 1.0, "{values:?}");
+    assert_eq!(folder.bytes("rays.bin").len(), 2 * 64 * 36);
+    let blocked: u32 = folder.bytes("rays.bin").chunks(36).map(|ray| u32::from(ray[32])).sum();
+    assert_eq!(values[0], (64 - blocked) as f32 / 64.0);
+    let stats: serde_json::Value = serde_json::from_slice(&folder.bytes("stats.json")).unwrap();
+    assert_eq!(stats["method"], "mask-table");
+    folder.fails(&format!("{bake} -o x.ply --rays 33"), &["33 rays", "multiple of 32"]);
+    folder.fails("bake mesh.obj -o x.ply --dump-rays rays2.bin", &["--dump-rays", "mask-table"]);
+}
+
+#[test]
 fn inspect_and_scenes_talk_to_people_and_scripts() {
     let folder = Folder::new();
     assert!(folder.ok("inspect mesh.obj").contains('4'));

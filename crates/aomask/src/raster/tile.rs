@@ -59,10 +59,12 @@ pub(super) struct Tile {
 /// Three coordinates of many vectors.
 type Rows = [Vec<f32>; 3];
 
+#[inline(always)]
 fn load(rows: &Rows, at: usize) -> V8 {
     V8::new(load8(&rows[0], at), load8(&rows[1], at), load8(&rows[2], at))
 }
 
+#[inline(always)]
 fn load8(row: &[f32], at: usize) -> F8 {
     let mut out = [0.0; 8];
     out.copy_from_slice(&row[at..at + 8]);

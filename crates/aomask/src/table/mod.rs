@@ -209,9 +209,25 @@ impl MaskTables {
         outputs: Outputs<'_>,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<(), MaskError> {
+        let receivers = drive::receivers(points, normals, options.seed)?;
+        self.answer_receivers(bvh, &receivers, options, outputs, progress)
+    }
+
+    /// [`Self::answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
+    ///
+    /// # Errors
+    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Cancelled`].
+    pub fn answer_receivers(
+        &self,
+        bvh: &Bvh,
+        receivers: &[Receiver],
+        options: &MaskOptions,
+        outputs: Outputs<'_>,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<(), MaskError> {
         with_set!(&self.tables, set => {
             let engine = Walker { tables: self, scene: self.scene(set, bvh, options) };
-            drive::run(&engine, &self.pattern, options, points, normals, outputs, progress)
+            drive::run(&engine, &self.pattern, options, receivers, outputs, progress)
         })
     }
 

@@ -82,6 +82,15 @@ impl Occluders {
         self.bounds.diagonal()
     }
 
+    /// Whether every triangle blocks all light.
+    pub fn is_opaque(&self) -> bool {
+        self.depths.is_empty()
+    }
+
+    pub(super) fn bvh(&self) -> &Bvh {
+        &self.bvh
+    }
+
     /// Sum over `rays` of the fraction of light that passes. `blocked` is room for one answer a ray.
     pub(super) fn light(&self, rays: &[Ray], sides: Sides, blocked: &mut [bool]) -> f64 {
         if self.depths.is_empty() && sides == Sides::Both {
