@@ -9,7 +9,7 @@ use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
 use umbrage_aomask::{
-    MaskOptions, Outputs, Pattern, PatternOptions, RasterOptions, Sides, raster::simplified_levels,
+    MaskOptions, Outputs, Pattern, PatternOptions, RasterOptions, Receiver, Sides, raster::simplified_levels,
 };
 
 /// A part of the suite.
@@ -149,14 +149,15 @@ fn walk(
     tables: &umbrage_aomask::MaskTables,
     options: &MaskOptions,
 ) -> Result<(Vec<f32>, f64)> {
-    let pixels: Vec<usize> = (0..picture.points.len()).filter(|&i| !picture.points[i][0].is_nan()).collect();
-    let pick = |v: &[[f32; 3]]| pixels.iter().map(|&i| v[i]).collect::<Vec<_>>();
-    let (points, normals) = (pick(&picture.points), pick(&picture.normals));
+    // The jitter of each pixel, so that the rays are those of the other methods.
+    let (pixels, receivers): (Vec<usize>, Vec<Receiver>) =
+        (0..picture.points.len()).filter_map(|i| Some((i, picture.receiver(i, options)?))).unzip();
     let mut ao = vec![0.0; pixels.len()];
-    let start = Instant::now();
     let bvh = case.ours.bvh();
-    case.one
-        .install(|| tables.answer(bvh, &points, &normals, options, Outputs::new(&mut ao), &mut |_| true))?;
+    let start = Instant::now();
+    case.one.install(|| {
+        tables.answer_receivers(bvh, &receivers, options, Outputs::new(&mut ao), &mut |_| true)
+    })?;
     let time_s = start.elapsed().as_secs_f64();
     let mut all = vec![1.0; picture.points.len()];
     pixels.iter().zip(ao).for_each(|(&i, ao)| all[i] = ao);

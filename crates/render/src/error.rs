@@ -24,6 +24,14 @@ pub enum RenderError {
         /// What there is.
         known: &'static [&'static str],
     },
+    /// Masks can't be used for the scene.
+    #[error(
+        "the method mask-table needs opaque occluders in one hierarchy, not semi-transparent ones or kept instances"
+    )]
+    MaskGeometry,
+    /// Masks can't be used with these settings.
+    #[error("ambient occlusion by masks: {0}")]
+    Mask(#[from] umbrage_aomask::MaskError),
     /// A count is 0 or too large.
     #[error("{what} is {value}, expected 1 to {limit}")]
     Count {

@@ -130,6 +130,14 @@ impl Geometry {
         (structure, self.parts.iter().map(|p| p.mesh.bytes() + 4 * p.object_of.len()).sum())
     }
 
+    /// The hierarchy over all triangles, if there is one and all of them block everything.
+    pub fn flat_opaque(&self) -> Option<&Bvh> {
+        match &self.structure {
+            Structure::Flat(bvh) if self.opaque => Some(bvh),
+            _ => None,
+        }
+    }
+
     /// Whether instances are kept apart.
     pub fn is_instanced(&self) -> bool {
         matches!(self.structure, Structure::Instanced(_))

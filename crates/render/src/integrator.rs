@@ -223,6 +223,12 @@ impl Integrator<'_> {
         seed: u32,
         scratch: &mut Scratch,
     ) -> f32 {
+        if let Some(open) =
+            self.ambient.openness(origin, surface.shading_normal, combine(combine(seed, sample), 1))
+        {
+            scratch.counts.ambient += u64::from(self.ao_samples);
+            return open;
+        }
         let frame = Frame::from_normal(surface.shading_normal);
         // All share the hemisphere's projected solid angle of pi.
         let share = std::f32::consts::PI / self.ao_samples as f32;

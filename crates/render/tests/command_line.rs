@@ -128,6 +128,24 @@ fn a_mesh_alone_makes_a_picture() {
 }
 
 #[test]
+fn the_sky_by_masks_looks_like_the_sky_by_rays() {
+    let folder = Folder::new();
+    let scene =
+        |samples: u32| SCENE.replace("[camera]", &format!("[methods]\nao_samples = {samples}\n[camera]"));
+    fs::write(folder.path("many.toml"), scene(64)).unwrap();
+    folder.ok("render many.toml -o rays.exr --ao rays");
+    folder.ok("render many.toml -o masks.exr --ao mask-table --threads 2");
+    folder.ok("render many.toml -o again.exr --ao mask-table --threads 1");
+    assert_eq!(folder.bytes("masks.exr"), folder.bytes("again.exr"));
+    let comparison = folder.ok("compare rays.exr masks.exr --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
+    assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
+    fs::write(folder.path("odd.toml"), scene(33)).unwrap();
+    folder.fails("render odd.toml -o odd.exr --ao mask-table", &["33 rays", "multiple of 32"]);
+}
+
+#[test]
 fn comparing_reports_errors_and_thresholds() {
     let folder = Folder::new();
     folder.ok("render scene.toml -o a.exr");

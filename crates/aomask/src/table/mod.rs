@@ -231,6 +231,23 @@ impl MaskTables {
         })
     }
 
+    /// Ambient occlusion (1 is open) of one receiver, for callers with threads of their own.
+    ///
+    /// # Errors
+    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`].
+    pub fn ao(&self, bvh: &Bvh, receiver: &Receiver, options: &MaskOptions) -> Result<f32, MaskError> {
+        options.validate(&self.pattern)?;
+        let mut mask = [0; Pattern::MAX_RAYS as usize / 64];
+        let masks = &mut mask[..self.pattern.words()];
+        with_set!(&self.tables, set => {
+            let scene = self.scene(set, bvh, options);
+            let receivers = std::slice::from_ref(receiver);
+            let block = Block { tables: self, scene: &scene, receivers, masks, stack: &mut Vec::new() };
+            self.options.back_end.run(Counted { block, stats: &mut () });
+        });
+        Ok(drive::openness(&self.pattern, masks))
+    }
+
     /// Work of [`Self::answer`] on one thread.
     ///
     /// # Errors
@@ -293,7 +310,7 @@ fn default_resolutions(rays: usize) -> (u32, u32) {
         0..=128 => (96, 192),
         129..=256 => (72, 160),
         257..=512 => (72, 144),
-        _ => (72, 128),
+        _ => (88, 128),
     }
 }
 

@@ -537,7 +537,7 @@ fn masks_from_tables_are_close_to_rays() {
     let occluders = Occluders::build(&[&globe, &floor], Ground::Absent).unwrap();
     for normals in [NormalSource::Smooth, NormalSource::Geometric] {
         let receivers = Receivers::vertices(&globe, normals).unwrap();
-        let options = BakeOptions::default().with_rays(128).with_radius(Radius::Absolute(3.0));
+        let options = BakeOptions::default().with_rays(512).with_radius(Radius::Absolute(3.0));
         let mut exact = vec![0.0; receivers.len()];
         bake(&occluders, &receivers, &options, Shard::WHOLE, &mut exact, &mut |_| true).unwrap();
         let table = |shard, ao: &mut [f32], dump: Option<&mut dyn std::io::Write>| {
@@ -546,7 +546,8 @@ fn masks_from_tables_are_close_to_rays() {
         let (mut ao, mut rays) = (vec![f32::NAN; receivers.len()], Vec::new());
         table(Shard::WHOLE, &mut ao, Some(&mut rays)).unwrap();
         let error = ao.iter().zip(&exact).map(|(a, b)| (a - b).abs()).sum::<f32>() / ao.len() as f32;
-        assert!(error < 0.015 && exact.iter().any(|&ao| ao < 0.7), "{normals:?}: {error}");
+        let least = exact.iter().copied().fold(1.0, f32::min);
+        assert!(error < 0.015 && least < 0.7, "error {error}, least {least}, {normals:?}");
         let mut parts = vec![f32::NAN; receivers.len()];
         for index in 0..3 {
             table(Shard { index, count: 3 }, &mut parts, None).unwrap();
@@ -567,7 +568,7 @@ fn masks_from_tables_are_close_to_rays() {
             differ += usize::from(occluders.bvh().any_hit(&ray) != (u32::from_le_bytes(word(8)) == 1));
         }
         let count = rays.len() / 36;
-        assert!(count >= receivers.len() * 128 && count % 128 == 0);
+        assert!(count >= receivers.len() * 512 && count.is_multiple_of(512));
         assert!(differ * 50 < count, "{normals:?}: {differ} of {count}");
     }
 }
