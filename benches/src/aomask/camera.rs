@@ -78,7 +78,7 @@ pub fn views(case: &Case) -> Vec<View> {
             View::new(at(0.0, -0.35, -0.1), at(0.2, 0.1, 0.1), size),
         ],
         _ => [(0.6, 0.5, 0.7), (-0.8, 0.25, 0.5), (0.1, 0.8, -0.6)]
-            .map(|(x, y, z)| View::new(center + Vec3::new(x, y, z) * (0.5 * extent.length()), center, size))
+            .map(|(x, y, z)| View::new(center + Vec3::new(x, y, z) * (0.8 * extent.length()), center, size))
             .into(),
     }
 }

@@ -26,9 +26,12 @@ pub enum RenderError {
     },
     /// Masks can't be used for the scene.
     #[error(
-        "the method mask-table needs opaque occluders in one hierarchy, not semi-transparent ones or kept instances"
+        "methods with masks need opaque occluders in one mesh, not semi-transparent ones or kept instances"
     )]
     MaskGeometry,
+    /// Rasterization needs a pinhole.
+    #[error("the method mask-raster needs a camera without a lens (lens_radius 0)")]
+    RasterLens,
     /// Masks can't be used with these settings.
     #[error("ambient occlusion by masks: {0}")]
     Mask(#[from] umbrage_aomask::MaskError),

@@ -138,6 +138,11 @@ impl Geometry {
         }
     }
 
+    /// All triangles in world space, if [`Self::flat_opaque`] has them.
+    pub fn flat_mesh(&self) -> Option<&TriangleMesh> {
+        self.flat_opaque().map(|_| &self.parts[0].mesh)
+    }
+
     /// Whether instances are kept apart.
     pub fn is_instanced(&self) -> bool {
         matches!(self.structure, Structure::Instanced(_))

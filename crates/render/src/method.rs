@@ -69,7 +69,9 @@ struct Masks<'a> {
 impl<'a> Masks<'a> {
     fn new(geometry: &'a Geometry, sky: &SkyRays) -> Result<Self, RenderError> {
         let bvh = geometry.flat_opaque().ok_or(RenderError::MaskGeometry)?;
+        // Larger tilts would show as noise.
         let pattern = PatternOptions::default()
+            .with_jitter(0.125, 0.2)
             .with_rays(sky.samples)
             .with_falloff(sky.falloff.clone())
             .with_seed(sky.seed);
@@ -109,11 +111,13 @@ pub struct SkyRays {
 }
 
 const MASK_TABLE: &str = "mask-table";
+/// Rasterization answers whole images before pixels are shaded (`raster_sky.rs`).
+pub(crate) const MASK_RASTER: &str = "mask-raster";
 
 /// Names of the shadow methods, `auto` first.
 pub const SHADOW_METHODS: &[&str] = &["auto", "bvh"];
 /// Names of the ambient occlusion methods, `auto` first.
-pub const AO_METHODS: &[&str] = &["auto", "rays", MASK_TABLE];
+pub const AO_METHODS: &[&str] = &["auto", "rays", MASK_TABLE, MASK_RASTER];
 
 /// Checks the names of both methods, before anything is built.
 ///
@@ -157,6 +161,12 @@ pub fn ao_method<'a>(
 ) -> Result<Choice<'a>, RenderError> {
     if let (MASK_TABLE, Some(sky)) = (name, sky) {
         return Ok(Choice { method: Box::new(Masks::new(geometry, sky)?), reason: "asked for" });
+    }
+    if name == MASK_RASTER {
+        return Ok(Choice {
+            method: Box::new(SingleRays { geometry, name: MASK_RASTER }),
+            reason: "asked for",
+        });
     }
     // Without a sky nothing is asked.
     let name = if name == MASK_TABLE { AO_METHODS[1] } else { name };

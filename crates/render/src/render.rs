@@ -7,7 +7,8 @@ use crate::{
     image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names},
     integrator::{Integrator, Pixel, RayCounts, Scratch, Sky},
     light::Light,
-    method::{SkyRays, ao_method, shadow_method},
+    method::{MASK_RASTER, SkyRays, ao_method, shadow_method},
+    raster_sky,
 };
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -113,11 +114,11 @@ pub fn render(
         seed: settings.seed,
     });
     let ambient = ao_method(&settings.ao, geometry, sky.as_ref())?;
-    let integrator = Integrator {
+    let mut integrator = Integrator {
         camera: Camera::new(&scene.camera, settings.width, settings.height),
         geometry,
         lights: scene.lights.iter().map(Light::new).collect(),
-        sky: scene.ambient.as_ref().zip(sky).map(|(ambient, sky)| Sky {
+        sky: scene.ambient.as_ref().zip(sky.clone()).map(|(ambient, sky)| Sky {
             radiance: ambient.radiance.into(),
             radius: sky.radius,
             falloff: sky.falloff,
@@ -130,7 +131,13 @@ pub fn render(
         ao_samples: settings.ao_samples,
         seed: settings.seed,
         count_cost: options.count_cost,
+        open: Vec::new(),
+        width: settings.width,
     };
+    if let (MASK_RASTER, Some(sky)) = (settings.ao.as_str(), &sky) {
+        integrator.open =
+            raster_sky::openness(&integrator, geometry, sky, [settings.width, settings.height])?;
+    }
     let target = Mutex::new(Target::new(settings, options.count_cost)?);
     let progress = Progress::new(tiles.len() as u64, report);
     tiles.par_iter().try_for_each(|&index| {

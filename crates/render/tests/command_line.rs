@@ -141,6 +141,16 @@ fn the_sky_by_masks_looks_like_the_sky_by_rays() {
     let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
     let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
     assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
+    // By rasterization, as a whole and in parts.
+    folder.ok("render many.toml -o raster.exr --ao mask-raster");
+    folder.ok("render many.toml -o part1.exr --ao mask-raster --shard 1/2");
+    folder.ok("render many.toml -o part2.exr --ao mask-raster --shard 2/2");
+    folder.ok("merge joined.exr part1.exr part2.exr");
+    assert_eq!(folder.bytes("raster.exr"), folder.bytes("joined.exr"));
+    let comparison = folder.ok("compare rays.exr raster.exr --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
+    assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
     fs::write(folder.path("odd.toml"), scene(33)).unwrap();
     folder.fails("render odd.toml -o odd.exr --ao mask-table", &["33 rays", "multiple of 32"]);
 }

@@ -32,7 +32,9 @@ pub fn bake_mask_table(
         return Err(BakeError::SemiTransparent);
     }
     let mine: Vec<u32> = shard_of(receivers, shard, ao)?.concat();
+    // Tilts as far as the pattern allows would be noise in `ao` of up to 0.03.
     let mut pattern = aomask::PatternOptions::default()
+        .with_jitter(0.125, 0.2)
         .with_rays(options.rays)
         .with_falloff(options.falloff.clone())
         .with_seed(options.seed);

@@ -533,7 +533,7 @@ proptest! {
 
 #[test]
 fn masks_from_tables_are_close_to_rays() {
-    let (globe, floor) = (sphere(16), quad([-4.0, -1.01, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]));
+    let (globe, floor) = (sphere(10), quad([-4.0, -1.01, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]));
     let occluders = Occluders::build(&[&globe, &floor], Ground::Absent).unwrap();
     for normals in [NormalSource::Smooth, NormalSource::Geometric] {
         let receivers = Receivers::vertices(&globe, normals).unwrap();
