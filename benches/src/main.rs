@@ -37,7 +37,7 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Only this part of a suite; aomask: targets, table1; prefilter: targets, tables, fig5, fig6, fig9, fig10, bias, refit,
+    /// Only this part of a suite; aomask: targets, table1, table2, figure5, figure6, figure7; prefilter: targets, tables, fig5, fig6, fig9, fig10, bias, refit,
     /// control, forest.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
@@ -47,7 +47,7 @@ struct Arguments {
     /// Only figures of suite reyes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     figure: Option<String>,
-    /// Folder for pictures; suites reyes and volumetric.
+    /// Folder for pictures; suites aomask, reyes and volumetric.
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
 }
@@ -66,8 +66,8 @@ fn main() -> Result<()> {
             anyhit::run(&anyhit::Options { quick, peers, threads, only }, &mut output)
         }
         "aomask" => {
-            let Arguments { quick, peers, only, part, .. } = arguments;
-            aomask::run(&aomask::Options { quick, peers, only, part }, &mut output)
+            let Arguments { quick, peers, only, part, pictures, .. } = arguments;
+            aomask::run(&aomask::Options { quick, peers, only, part, images: pictures }, &mut output)
         }
         "prefilter" => {
             let Arguments { quick, peers, only, part, .. } = arguments;

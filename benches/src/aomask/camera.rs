@@ -1,6 +1,7 @@
 //! Views of the scenes: what the figures show and where the receivers of table 1 lie.
 
 use super::{Case, workload::receiver_at};
+use umbrage_aomask::RasterCamera;
 use umbrage_geom::{Ray, glam::Vec3};
 
 /// A pinhole camera.
@@ -30,6 +31,18 @@ impl View {
         let u = (x as f32 + 0.5) / self.size[0] as f32 * 2.0 - 1.0;
         let v = 1.0 - (y as f32 + 0.5) / self.size[1] as f32 * 2.0;
         Ray::new(self.eye, self.forward + self.right * u + self.up * v)
+    }
+
+    /// The same with another number of pixels.
+    pub fn resized(self, size: [u32; 2]) -> Self {
+        let aspect = |size: [u32; 2]| size[1] as f32 / size[0] as f32;
+        Self { up: self.up * (aspect(size) / aspect(self.size)), size, ..self }
+    }
+
+    /// As `umbrage-aomask` wants it.
+    pub fn raster(&self) -> RasterCamera {
+        let [eye, forward, right, up] = [self.eye, self.forward, self.right, self.up].map(|v| v.to_array());
+        RasterCamera::new(eye, forward, right, up).expect("a proper camera")
     }
 
     /// The surface behind each pixel, row by row: receiver point and normal, `None` where nothing is seen.

@@ -1,13 +1,15 @@
 //! Passes of all methods over one workload, and their rows.
 
-use super::{Case, methods::Tables, workload::Workload};
+use super::{Case, methods::Tables, picture::Picture, workload::Workload};
 use crate::{
     entry::{Entry, OnThreads},
     rows::{Output, Row, Timed, alternate, median, paired_speedup},
 };
 use anyhow::Result;
 use serde_json::{Value, json};
-use umbrage_aomask::NodeMasks;
+use std::time::Instant;
+use umbrage_aomask::{MaskOptions, NodeMasks, Pattern};
+use umbrage_geom::Ray;
 
 /// Passes that pick the fastest entry of each method.
 const HEATS: usize = 1;
@@ -128,4 +130,23 @@ fn fastest(measured: Vec<Measured>) -> Vec<Measured> {
         }
     }
     best
+}
+
+/// Rays a second of exact single rays from every `stride`-th receiver of a picture, rays made beforehand.
+pub fn rays_per_second(
+    case: &Case,
+    picture: &Picture,
+    pattern: &Pattern,
+    options: &MaskOptions,
+    stride: usize,
+) -> f64 {
+    let receivers = (0..picture.points.len()).step_by(stride).filter_map(|i| picture.receiver(i, options));
+    // About a million rays are enough.
+    let most = (1usize << 20).div_ceil(pattern.len());
+    let rays: Vec<Ray> =
+        receivers.take(most).flat_map(|receiver| pattern.rays_of(&receiver, options.radius)).collect();
+    let mut hits = vec![false; rays.len()];
+    let start = Instant::now();
+    case.ours.bvh().any_hits_with(&rays, &mut hits, &mut ());
+    rays.len() as f64 / start.elapsed().as_secs_f64()
 }

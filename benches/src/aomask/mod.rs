@@ -5,8 +5,10 @@
 //! (`measure.rs`).
 
 mod camera;
+mod figures;
 mod measure;
 mod methods;
+mod picture;
 mod workload;
 
 use crate::{
@@ -34,10 +36,12 @@ pub struct Options {
     pub only: Option<String>,
     /// Only this part.
     pub part: Option<String>,
+    /// Where to write the pictures of figures 5 and 7.
+    pub images: Option<PathBuf>,
 }
 
 /// Parts of the suite.
-pub const PARTS: [&str; 2] = ["targets", "table1"];
+pub const PARTS: [&str; 6] = ["targets", "table1", "table2", "figure5", "figure6", "figure7"];
 
 /// Numbers of rays and radii, as fractions of the diagonal, of the targets.
 const TARGET_RAYS: [u32; 3] = [128, 256, 1024];
@@ -108,6 +112,11 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
         if wanted("table1") {
             table1(&case, options, output)?;
         }
+        for (part, run) in figures::PARTS {
+            if wanted(part) {
+                run(&case, options, output)?;
+            }
+        }
     }
     output.geomeans(&["part", "rays"])
 }
@@ -152,6 +161,16 @@ fn table1(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
                 known.map_or(json!({}), |i| json!({ "paper_mrays_s": paper[i] }))
             };
             measure::rows(case, &workload, passes(options), output, figures)?;
+            let params = json!({ "part": "table1", "rays": rays, "radius": radius });
+            picture::table1_row(
+                case,
+                &pattern,
+                (radius * unit) as f32,
+                options,
+                params,
+                figures("mask-raster"),
+                output,
+            )?;
         }
     }
     Ok(())

@@ -25,35 +25,52 @@ pub(crate) fn run<E: Engine>(
     engine: &E,
     pattern: &Pattern,
     options: &MaskOptions,
-    points: &[[f32; 3]],
-    normals: &[[f32; 3]],
+    receivers: &[Receiver],
     outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), MaskError> {
     options.validate(pattern)?;
-    outputs.validate(points.len(), pattern.words())?;
-    let receivers = receivers(points, normals, options.seed)?;
-    let order = morton::order(points);
+    outputs.validate(receivers.len(), pattern.words())?;
+    let points: Vec<[f32; 3]> = receivers.iter().map(|receiver| receiver.point().to_array()).collect();
+    let order = morton::order(&points);
     let progress = Progress::new(order.len().div_ceil(BLOCK) as u64, progress);
     let words = pattern.words();
-    let masks = blocks(engine, &receivers, &order, words, &progress)?;
+    let masks = blocks(engine, receivers, &order, words, &progress)?;
     progress.finish()?;
+    write(pattern, outputs, &masks, order.iter().map(|&i| (i as usize, Some(&receivers[i as usize]))));
+    Ok(())
+}
+
+/// Writes outputs from `masks`, which are in the order of `receivers`: indices into the outputs, and receivers where there
+/// are any.
+pub(crate) fn write<'a>(
+    pattern: &Pattern,
+    outputs: Outputs<'_>,
+    masks: &[u64],
+    receivers: impl Iterator<Item = (usize, Option<&'a Receiver>)>,
+) {
+    let words = pattern.words();
     let Outputs { ao, masks: mut all_masks, mut bent_normals } = outputs;
-    for (&i, mask) in order.iter().zip(masks.chunks(words)) {
-        let i = i as usize;
+    for ((i, receiver), mask) in receivers.zip(masks.chunks(words)) {
         ao[i] = openness(pattern, mask);
         if let Some(all) = &mut all_masks {
             all[i * words..][..words].copy_from_slice(mask);
         }
         if let Some(bent) = &mut bent_normals {
-            bent[i] = bent_normal(pattern, &receivers[i], mask).to_array();
+            bent[i] = receiver.map_or(Vec3::ZERO, |receiver| bent_normal(pattern, receiver, mask)).to_array();
         }
     }
-    Ok(())
 }
 
 /// Checked receivers; `i` has the seed `combine(seed, i)`.
-fn receivers(points: &[[f32; 3]], normals: &[[f32; 3]], seed: u32) -> Result<Vec<Receiver>, MaskError> {
+///
+/// # Errors
+/// [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`].
+pub(crate) fn receivers(
+    points: &[[f32; 3]],
+    normals: &[[f32; 3]],
+    seed: u32,
+) -> Result<Vec<Receiver>, MaskError> {
     if points.len() != normals.len() {
         let (actual, expected) = (normals.len(), points.len());
         return Err(MaskError::Length { what: "normals", actual, expected, points: expected });

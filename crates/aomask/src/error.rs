@@ -71,6 +71,19 @@ pub enum MaskError {
         /// The normal.
         normal: [f32; 3],
     },
+    /// A camera is not finite or flat.
+    #[error("the camera's eye or axes are not finite, or its axes don't span space")]
+    Camera,
+    /// A level of detail can't be used: errors start at 0 and grow, and the range factor is positive.
+    #[error("level of detail {level}: {what} is {value}")]
+    Level {
+        /// Index of the level, from 0.
+        level: usize,
+        /// `error` or `range factor`.
+        what: &'static str,
+        /// Its value.
+        value: f32,
+    },
     /// The geometry could not be put into a hierarchy, or can't be used.
     #[error(transparent)]
     Build(#[from] BuildError),

@@ -6,6 +6,7 @@ mod error;
 mod kernel;
 mod options;
 pub mod pattern;
+pub mod raster;
 mod receiver;
 pub mod table;
 
@@ -13,5 +14,6 @@ pub use error::MaskError;
 pub use kernel::BackEnd;
 pub use options::{MaskOptions, Outputs, Sides};
 pub use pattern::{Pattern, PatternOptions};
+pub use raster::{RasterCamera, RasterLevel, RasterOptions, RasterView, rasterize};
 pub use receiver::Receiver;
 pub use table::{MaskTables, NodeMasks, TableOptions};

@@ -1,5 +1,6 @@
 //! Primary rays: a pinhole, or a thin lens.
 
+use umbrage_aomask::RasterCamera;
 use umbrage_geom::{Ray, RayDifferential, glam::Vec3};
 use umbrage_scene as scene;
 
@@ -37,6 +38,17 @@ impl Camera {
             step_y: (down * pixel).as_vec3(),
             lens: [(right * lens_radius).as_vec3(), (down * lens_radius).as_vec3()],
         }
+    }
+
+    /// The same pinhole for rasterization; `None` with a lens.
+    pub fn raster(&self, width: u32, height: u32) -> Option<RasterCamera> {
+        if self.lens != [Vec3::ZERO; 2] {
+            return None;
+        }
+        let (right, down) = (self.step_x * (0.5 * width as f32), self.step_y * (0.5 * height as f32));
+        let forward = self.corner + right + down;
+        let [eye, forward, right, up] = [self.position, forward, right, -down].map(|v| v.to_array());
+        RasterCamera::new(eye, forward, right, up).ok()
     }
 
     /// The ray through the image point (`x`, `y`), in pixels from the upper left corner, and through the point `lens` of

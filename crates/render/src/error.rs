@@ -32,6 +32,17 @@ pub enum RenderError {
         /// What there is.
         known: &'static [&'static str],
     },
+    /// Masks can't be used for the scene.
+    #[error(
+        "methods with masks need opaque occluders in one mesh, not semi-transparent ones or kept instances"
+    )]
+    MaskGeometry,
+    /// Rasterization needs a pinhole.
+    #[error("the method mask-raster needs a camera without a lens (lens_radius 0)")]
+    RasterLens,
+    /// Masks can't be used with these settings.
+    #[error("ambient occlusion by masks: {0}")]
+    Mask(#[from] umbrage_aomask::MaskError),
     /// A count is 0 or too large.
     #[error("{what} is {value}, expected 1 to {limit}")]
     Count {

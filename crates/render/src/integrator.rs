@@ -61,6 +61,10 @@ pub(crate) struct Integrator<'a> {
     pub ao_samples: u32,
     pub seed: u32,
     pub count_cost: bool,
+    /// Openness of the sky by camera sample and pixel (row by row of `width`), where it is known beforehand.
+    pub open: Vec<Vec<f32>>,
+    /// Pixels across.
+    pub width: u32,
 }
 
 /// Values of one pixel, in the layers' own meaning.
@@ -82,6 +86,8 @@ pub(crate) struct Scratch {
     /// Unshadowed irradiance that each ray stands for, cosine included.
     arriving: Vec<Vec3>,
     passed: Vec<f32>,
+    /// Index of the pixel at work.
+    pixel: usize,
     pub counts: RayCounts,
     pub counters: Counters,
 }
@@ -106,16 +112,21 @@ fn luminance(c: Vec3) -> f32 {
     c.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
+/// Where rays leave a surface.
+fn origin_on(surface: &Surface) -> Vec3 {
+    let n = surface.geometric_normal;
+    offset_origin(surface.point, n, n, surface.magnitude)
+}
+
 impl Integrator<'_> {
     /// Computes pixel (`x`, `y`).
     pub fn pixel(&self, x: u32, y: u32, scratch: &mut Scratch) -> Pixel {
         let seed = pixel_seed(x, y, self.seed);
         let mut sums = Sums::default();
         let before = work(&scratch.counters);
+        scratch.pixel = (y * self.width + x) as usize;
         for sample in 0..self.spp {
-            let [dx, dy, lens_x, lens_y] = sobol_4d(sample, 0, seed);
-            let lens = concentric_disc(Vec2::new(lens_x, lens_y)).to_array();
-            let ray = self.camera.ray(x as f32 + dx, y as f32 + dy, lens);
+            let ray = self.camera_ray(x, y, sample, seed);
             match self.visible_surface(&ray, combine(seed, sample), scratch) {
                 Some(surface) => self.shade(&surface, sample, seed, scratch, &mut sums),
                 None => sums.beauty += self.background,
@@ -132,6 +143,20 @@ impl Integrator<'_> {
             depth: if sums.hits > 0 { sums.depth / hits } else { NO_DEPTH },
             cost: cost as f32 / samples,
         }
+    }
+
+    fn camera_ray(&self, x: u32, y: u32, sample: u32, seed: u32) -> Ray {
+        let [dx, dy, lens_x, lens_y] = sobol_4d(sample, 0, seed);
+        let lens = concentric_disc(Vec2::new(lens_x, lens_y)).to_array();
+        self.camera.ray(x as f32 + dx, y as f32 + dy, lens)
+    }
+
+    /// Origin of ambient rays and shading normal where `sample` of pixel (`x`, `y`) meets a surface.
+    pub fn receiver(&self, x: u32, y: u32, sample: u32, scratch: &mut Scratch) -> Option<(Vec3, Vec3)> {
+        let seed = pixel_seed(x, y, self.seed);
+        let ray = self.camera_ray(x, y, sample, seed);
+        let surface = self.visible_surface(&ray, combine(seed, sample), scratch)?;
+        Some((origin_on(&surface), surface.shading_normal))
     }
 
     /// The surface that a camera ray shows: a semi-transparent one counts with the probability of its opacity.
@@ -154,8 +179,7 @@ impl Integrator<'_> {
     }
 
     fn shade(&self, surface: &Surface, sample: u32, seed: u32, scratch: &mut Scratch, sums: &mut Sums) {
-        let n = surface.geometric_normal;
-        let origin = offset_origin(surface.point, n, n, surface.magnitude);
+        let origin = origin_on(surface);
         let mut irradiance = Vec3::ZERO;
         for (number, light) in self.lights.iter().enumerate() {
             irradiance += self.direct(light, number as u32, origin, surface, sample, seed, scratch, sums);
@@ -223,6 +247,16 @@ impl Integrator<'_> {
         seed: u32,
         scratch: &mut Scratch,
     ) -> f32 {
+        if let Some(open) = self.open.get(sample as usize) {
+            scratch.counts.ambient += u64::from(self.ao_samples);
+            return open[scratch.pixel];
+        }
+        if let Some(open) =
+            self.ambient.openness(origin, surface.shading_normal, combine(combine(seed, sample), 1))
+        {
+            scratch.counts.ambient += u64::from(self.ao_samples);
+            return open;
+        }
         let frame = Frame::from_normal(surface.shading_normal);
         // All share the hemisphere's projected solid angle of pi.
         let share = std::f32::consts::PI / self.ao_samples as f32;

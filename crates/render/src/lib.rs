@@ -14,6 +14,7 @@ pub mod inspect;
 mod integrator;
 pub mod light;
 pub mod method;
+mod raster_sky;
 pub mod render;
 mod volumetric;
 

@@ -4,8 +4,9 @@
 //! angle, so that methods which trace fans, masks or cones can use them.
 
 use crate::{RenderError, geometry::Geometry, volumetric};
-use umbrage_accel::Counters;
-use umbrage_geom::Ray;
+use umbrage_accel::{Bvh, Counters};
+use umbrage_aomask::{MaskOptions, MaskTables, Pattern, PatternOptions, Receiver, TableOptions};
+use umbrage_geom::{Falloff, Ray, glam::Vec3};
 use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query, StopStatistics};
 
 /// One sample of a light or of the sky, seen from a receiver.
@@ -24,6 +25,13 @@ pub trait Method: Sync {
 
     /// Writes the fraction of light that passes along each ray; counts into `counters` if there are any.
     fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>);
+
+    /// How open the sky is over a receiver at `origin` that looks along the unit vector `normal`, 1 is open: for methods
+    /// that choose ambient rays themselves. `None`, the default, asks for [`Self::transmittances`] instead.
+    fn openness(&self, origin: Vec3, normal: Vec3, seed: u32) -> Option<f32> {
+        let _ = (origin, normal, seed);
+        None
+    }
 }
 
 /// Exact rays through the scene's wide BVH.
@@ -109,6 +117,61 @@ const PREFILTER: &str = "prefilter";
 const SHADOW_THRESHOLD: f32 = 0.2;
 /// See [`SHADOW_THRESHOLD`].
 const AO_THRESHOLD: f32 = 0.3;
+/// All ambient rays of a receiver as one mask, from tables: approximate.
+struct Masks<'a> {
+    exact: SingleRays<'a>,
+    bvh: &'a Bvh,
+    tables: MaskTables,
+    options: MaskOptions,
+}
+
+impl<'a> Masks<'a> {
+    fn new(geometry: &'a Geometry, sky: &SkyRays) -> Result<Self, RenderError> {
+        let (bvh, _) = geometry.flat_opaque().ok_or(RenderError::MaskGeometry)?;
+        // Larger tilts would show as noise.
+        let pattern = PatternOptions::default()
+            .with_jitter(0.125, 0.2)
+            .with_rays(sky.samples)
+            .with_falloff(sky.falloff.clone())
+            .with_seed(sky.seed);
+        let tables = MaskTables::new(Pattern::new(&pattern)?, &TableOptions::default())?;
+        let options = MaskOptions::default().with_radius(sky.radius);
+        options.validate(tables.pattern())?;
+        Ok(Self { exact: SingleRays { geometry, name: MASK_TABLE }, bvh, tables, options })
+    }
+}
+
+impl Method for Masks<'_> {
+    fn name(&self) -> &'static str {
+        self.exact.name
+    }
+
+    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+        self.exact.transmittances(rays, passed, counters);
+    }
+
+    fn openness(&self, origin: Vec3, normal: Vec3, seed: u32) -> Option<f32> {
+        let receiver = Receiver::new(0, origin.to_array(), normal.to_array(), seed).ok()?;
+        self.tables.ao(self.bvh, &receiver, &self.options).ok()
+    }
+}
+
+/// What ambient rays of a scene have in common.
+#[derive(Clone, Debug)]
+pub struct SkyRays {
+    /// Rays of a receiver.
+    pub samples: u32,
+    /// How far occluders count, world units; may be infinite.
+    pub radius: f32,
+    /// How they fade with distance.
+    pub falloff: Falloff,
+    /// Seed of the pattern.
+    pub seed: u32,
+}
+
+const MASK_TABLE: &str = "mask-table";
+/// Rasterization answers whole images before pixels are shaded (`raster_sky.rs`).
+pub(crate) const MASK_RASTER: &str = "mask-raster";
 
 /// Names of the shadow methods, `auto` first.
 pub const SHADOW_METHODS: &[&str] = &[
@@ -125,7 +188,7 @@ pub const SHADOW_METHODS: &[&str] = &[
     "bvh-volumetric",
 ];
 /// Names of the ambient occlusion methods, `auto` first.
-pub const AO_METHODS: &[&str] = &["auto", "rays", PREFILTER];
+pub const AO_METHODS: &[&str] = &["auto", "rays", MASK_TABLE, MASK_RASTER, PREFILTER];
 
 /// Checks the names of both methods, before anything is built.
 ///
@@ -161,11 +224,26 @@ pub fn shadow_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a
     }
 }
 
-/// The ambient occlusion method called `name`.
+/// The ambient occlusion method called `name`, for a scene with the sky `sky` if it has one.
 ///
 /// # Errors
-/// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`].
-pub fn ao_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a>, RenderError> {
+/// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`]; for `mask-table` [`RenderError::MaskGeometry`] and [`RenderError::Mask`].
+pub fn ao_method<'a>(
+    name: &str,
+    geometry: &'a Geometry,
+    sky: Option<&SkyRays>,
+) -> Result<Choice<'a>, RenderError> {
+    if let (MASK_TABLE, Some(sky)) = (name, sky) {
+        return Ok(Choice { method: Box::new(Masks::new(geometry, sky)?), reason: "asked for" });
+    }
+    if name == MASK_RASTER {
+        return Ok(Choice {
+            method: Box::new(SingleRays { geometry, name: MASK_RASTER }),
+            reason: "asked for",
+        });
+    }
+    // Without a sky nothing is asked.
+    let name = if name == MASK_TABLE { AO_METHODS[1] } else { name };
     choose(name, "ambient occlusion", AO_METHODS, geometry)
 }
 

@@ -7,7 +7,8 @@ use crate::{
     image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names},
     integrator::{Integrator, Pixel, RayCounts, Scratch, Sky},
     light::Light,
-    method::{ao_method, shadow_method},
+    method::{MASK_RASTER, SkyRays, ao_method, shadow_method},
+    raster_sky,
 };
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -106,15 +107,21 @@ pub fn render(
     let grid = TileGrid::new(settings.width, settings.height, TILE)?;
     let tiles: Vec<u32> = options.shard.tiles(&grid).map_err(crate::image::ImageError::from)?.collect();
     let shadows = shadow_method(&settings.shadows, geometry)?;
-    let ambient = ao_method(&settings.ao, geometry)?;
-    let integrator = Integrator {
+    let sky = scene.ambient.as_ref().map(|ambient| SkyRays {
+        samples: settings.ao_samples,
+        radius: ambient.radius.resolve(geometry.bounds().diagonal()),
+        falloff: ambient.falloff.clone(),
+        seed: settings.seed,
+    });
+    let ambient = ao_method(&settings.ao, geometry, sky.as_ref())?;
+    let mut integrator = Integrator {
         camera: Camera::new(&scene.camera, settings.width, settings.height),
         geometry,
         lights: scene.lights.iter().map(Light::new).collect(),
-        sky: scene.ambient.as_ref().map(|ambient| Sky {
+        sky: scene.ambient.as_ref().zip(sky.clone()).map(|(ambient, sky)| Sky {
             radiance: ambient.radiance.into(),
-            radius: ambient.radius.resolve(geometry.bounds().diagonal()),
-            falloff: ambient.falloff.clone(),
+            radius: sky.radius,
+            falloff: sky.falloff,
         }),
         background: Vec3::from(scene.background),
         shadows: &*shadows.method,
@@ -124,7 +131,13 @@ pub fn render(
         ao_samples: settings.ao_samples,
         seed: settings.seed,
         count_cost: options.count_cost,
+        open: Vec::new(),
+        width: settings.width,
     };
+    if let (MASK_RASTER, Some(sky)) = (settings.ao.as_str(), &sky) {
+        integrator.open =
+            raster_sky::openness(&integrator, geometry, sky, [settings.width, settings.height])?;
+    }
     let target = Mutex::new(Target::new(settings, options.count_cost)?);
     let progress = Progress::new(tiles.len() as u64, report);
     tiles.par_iter().try_for_each(|&index| {

@@ -128,6 +128,34 @@ fn a_mesh_alone_makes_a_picture() {
 }
 
 #[test]
+fn the_sky_by_masks_looks_like_the_sky_by_rays() {
+    let folder = Folder::new();
+    let scene =
+        |samples: u32| SCENE.replace("[camera]", &format!("[methods]\nao_samples = {samples}\n[camera]"));
+    fs::write(folder.path("many.toml"), scene(64)).unwrap();
+    folder.ok("render many.toml -o rays.exr --ao rays");
+    folder.ok("render many.toml -o masks.exr --ao mask-table --threads 2");
+    folder.ok("render many.toml -o again.exr --ao mask-table --threads 1");
+    assert_eq!(folder.bytes("masks.exr"), folder.bytes("again.exr"));
+    let comparison = folder.ok("compare rays.exr masks.exr --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
+    assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
+    // By rasterization, as a whole and in parts.
+    folder.ok("render many.toml -o raster.exr --ao mask-raster");
+    folder.ok("render many.toml -o part1.exr --ao mask-raster --shard 1/2");
+    folder.ok("render many.toml -o part2.exr --ao mask-raster --shard 2/2");
+    folder.ok("merge joined.exr part1.exr part2.exr");
+    assert_eq!(folder.bytes("raster.exr"), folder.bytes("joined.exr"));
+    let comparison = folder.ok("compare rays.exr raster.exr --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
+    assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
+    fs::write(folder.path("odd.toml"), scene(33)).unwrap();
+    folder.fails("render odd.toml -o odd.exr --ao mask-table", &["33 rays", "multiple of 32"]);
+}
+
+#[test]
 fn comparing_reports_errors_and_thresholds() {
     let folder = Folder::new();
     folder.ok("render scene.toml -o a.exr");
@@ -202,6 +230,25 @@ fn bakes_reach_every_kind_of_output() {
     folder.ok("bake mesh.obj -o points-ao.ply --points points.ply");
     // The first lies inside the tetrahedron.
     assert_eq!(ao(&folder.path("points-ao.ply")), [0.0, 1.0]);
+}
+
+#[test]
+fn masks_bake_given_points_and_write_down_their_rays() {
+    let folder = Folder::new();
+    let points = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+        property float nx\nproperty float ny\nproperty float nz\nend_header\n0.2 0.2 -0.5 0 0 1\n5 5 5 0 1 0\n";
+    fs::write(folder.path("points.ply"), points).unwrap();
+    let bake = "bake mesh.obj --points points.ply --method mask-table";
+    folder.ok(&format!("{bake} -o ao.ply --rays 64 --radius 2 --dump-rays rays.bin --stats stats.json"));
+    let values = ao(&folder.path("ao.ply"));
+    assert!(values[0] < 0.9 && values[1] == 1.0, "{values:?}");
+    assert_eq!(folder.bytes("rays.bin").len(), 2 * 64 * 36);
+    let blocked: u32 = folder.bytes("rays.bin").chunks(36).map(|ray| u32::from(ray[32])).sum();
+    assert_eq!(values[0], (64 - blocked) as f32 / 64.0);
+    let stats: serde_json::Value = serde_json::from_slice(&folder.bytes("stats.json")).unwrap();
+    assert_eq!(stats["method"], "mask-table");
+    folder.fails(&format!("{bake} -o x.ply --rays 33"), &["33 rays", "multiple of 32"]);
+    folder.fails("bake mesh.obj -o x.ply --dump-rays rays2.bin", &["--dump-rays", "mask-table"]);
 }
 
 #[test]

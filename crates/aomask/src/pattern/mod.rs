@@ -175,7 +175,11 @@ impl Pattern {
     }
 
     /// The rays of `receiver`, `radius` in world units; see the [module](self) for the arithmetic.
-    pub fn rays_of(&self, receiver: &Receiver, radius: f32) -> impl ExactSizeIterator<Item = Ray> + '_ {
+    pub fn rays_of<'a>(
+        &'a self,
+        receiver: &Receiver,
+        radius: f32,
+    ) -> impl ExactSizeIterator<Item = Ray> + use<'a> {
         let (frame, origin) = (self.frame_of(receiver), receiver.point());
         self.directions.iter().zip(&self.lengths).map(move |(&d, &length)| Ray {
             origin,
@@ -220,8 +224,9 @@ fn jitters(options: &PatternOptions, lowest: f32) -> Box<[Jitter]> {
     let seed = combine(options.seed, 0x6a69_7474);
     let jitter = |i| {
         let [turn, x, y, _] = sobol_4d(i, 0, seed);
-        let rotation = Rotation::from_turns((turn - 0.5) * options.rotation).apply(Vec3::X);
-        let tilt = concentric_disc(Vec2::new(x, y)) * (options.tilt * lowest);
+        let rotation = Rotation::from_turns((turn - 0.5) * options.rotation).apply(Vec3::X) + 0.0;
+        // Adding 0 takes the sign from -0, which frames would see.
+        let tilt = concentric_disc(Vec2::new(x, y)) * (options.tilt * lowest) + 0.0;
         Jitter { rotation: rotation.truncate(), normal: lift(tilt) }
     };
     (0..JITTERS).map(jitter).collect()

@@ -117,4 +117,10 @@ fn jitters_differ_between_receivers_and_can_be_off() {
     assert!(turned > 10 && jittered.iter().all(|f| f.normal.z > 0.9 && f.normal.z < 1.0));
     let off = frames(&Pattern::new(&PatternOptions::default().with_jitter(0.0, 0.0)).unwrap());
     assert!(off.iter().all(|f| f.normal == Vec3::Z && f.tangent == Vec3::X));
+    // Signs of zero choose a frame: they must not come from the jitter.
+    let off = Pattern::new(&PatternOptions::default().with_jitter(0.0, 0.0)).unwrap();
+    for normal in [[-1.0, 0.0, -0.0], [0.0, -1.0, -0.0], [-0.0, -0.0, -1.0]] {
+        let frame = |seed| off.frame_of(&Receiver::new(0, [0.0; 3], normal, seed).unwrap());
+        assert!((1..64).all(|seed| frame(seed) == frame(0)));
+    }
 }

@@ -15,6 +15,9 @@ mod triangle_mask;
 pub use node_mask::NodeMasks;
 pub use statistics::{TableCounters, TableStatistics};
 
+pub(crate) use lanes::{F8, V8};
+pub(crate) use triangle_mask::{TriangleTables, Triangles};
+
 use crate::{
     BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver,
     drive::{self, Engine},
@@ -82,7 +85,7 @@ pub struct MaskTables {
 
 /// Tables with masks of as many words as the pattern needs, rounded up to a power of two.
 #[derive(Clone, Debug)]
-enum Tables {
+pub(crate) enum Tables {
     W1(TableSet<1>),
     W2(TableSet<2>),
     W4(TableSet<4>),
@@ -94,17 +97,18 @@ enum Tables {
 macro_rules! with_set {
     ($tables:expr, $set:ident => $body:expr) => {
         match $tables {
-            Tables::W1($set) => $body,
-            Tables::W2($set) => $body,
-            Tables::W4($set) => $body,
-            Tables::W8($set) => $body,
-            Tables::W16($set) => $body,
+            $crate::table::Tables::W1($set) => $body,
+            $crate::table::Tables::W2($set) => $body,
+            $crate::table::Tables::W4($set) => $body,
+            $crate::table::Tables::W8($set) => $body,
+            $crate::table::Tables::W16($set) => $body,
         }
     };
 }
+pub(crate) use with_set;
 
 #[derive(Clone, Debug)]
-struct TableSet<const W: usize> {
+pub(crate) struct TableSet<const W: usize> {
     /// Edges of triangles, by directions.
     edges: EdgeTable<W>,
     /// Planes of triangles, by ends of rays in radii.
@@ -127,6 +131,14 @@ impl<const W: usize> TableSet<W> {
             circles: (!pattern.has_equal_lengths()).then(|| planes(directions)),
             rims: EdgeTable::conservative(directions, RIMS, options.back_end),
         }
+    }
+
+    fn directions(&self) -> &PlaneTable<W> {
+        self.circles.as_ref().unwrap_or(&self.planes)
+    }
+
+    pub(crate) fn triangle_tables(&self) -> TriangleTables<'_, W> {
+        TriangleTables { edges: &self.edges, planes: &self.planes, directions: self.directions() }
     }
 
     fn bytes(&self) -> usize {
@@ -197,10 +209,43 @@ impl MaskTables {
         outputs: Outputs<'_>,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<(), MaskError> {
+        let receivers = drive::receivers(points, normals, options.seed)?;
+        self.answer_receivers(bvh, &receivers, options, outputs, progress)
+    }
+
+    /// [`Self::answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
+    ///
+    /// # Errors
+    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Cancelled`].
+    pub fn answer_receivers(
+        &self,
+        bvh: &Bvh,
+        receivers: &[Receiver],
+        options: &MaskOptions,
+        outputs: Outputs<'_>,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<(), MaskError> {
         with_set!(&self.tables, set => {
             let engine = Walker { tables: self, scene: self.scene(set, bvh, options) };
-            drive::run(&engine, &self.pattern, options, points, normals, outputs, progress)
+            drive::run(&engine, &self.pattern, options, receivers, outputs, progress)
         })
+    }
+
+    /// Ambient occlusion (1 is open) of one receiver, for callers with threads of their own.
+    ///
+    /// # Errors
+    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`].
+    pub fn ao(&self, bvh: &Bvh, receiver: &Receiver, options: &MaskOptions) -> Result<f32, MaskError> {
+        options.validate(&self.pattern)?;
+        let mut mask = [0; Pattern::MAX_RAYS as usize / 64];
+        let masks = &mut mask[..self.pattern.words()];
+        with_set!(&self.tables, set => {
+            let scene = self.scene(set, bvh, options);
+            let receivers = std::slice::from_ref(receiver);
+            let block = Block { tables: self, scene: &scene, receivers, masks, stack: &mut Vec::new() };
+            self.options.back_end.run(Counted { block, stats: &mut () });
+        });
+        Ok(drive::openness(&self.pattern, masks))
     }
 
     /// Work of [`Self::answer`] on one thread.
@@ -225,22 +270,31 @@ impl MaskTables {
         Ok(counters)
     }
 
+    pub(crate) fn sets(&self) -> &Tables {
+        &self.tables
+    }
+
+    /// Rays of no length, and bits without a ray: they count as blocked from the start.
+    pub(crate) fn closed_rays<const W: usize>(&self) -> [u64; W] {
+        let mut closed = [!0; W];
+        for (i, _) in self.pattern.lengths().iter().enumerate().filter(|&(_, &length)| length > 0.0) {
+            closed[i / 64] &= !(1 << (i % 64));
+        }
+        closed
+    }
+
     fn scene<'a, const W: usize>(
         &'a self,
         set: &'a TableSet<W>,
         bvh: &'a Bvh,
         options: &MaskOptions,
     ) -> Scene<'a, W> {
-        let (directions, ends) = match &set.circles {
-            Some(directions) => (directions, Some(&set.planes)),
-            None => (&set.planes, None),
-        };
+        let (directions, ends) = (set.directions(), set.circles.as_ref().map(|_| &set.planes));
         Scene {
             view: bvh.view(),
             bounds: bvh.bounds(),
             pattern: &self.pattern,
-            edges: &set.edges,
-            planes: &set.planes,
+            triangles: set.triangle_tables(),
             nodes: NodeLookup { directions, ends, rims: &set.rims, silhouettes: &self.silhouettes },
             node_masks: self.options.node_masks,
             radius: options.radius,
@@ -300,11 +354,7 @@ impl<const W: usize, S: TableStatistics> Job for Counted<'_, '_, W, S> {
     fn run(self) {
         let Block { tables, scene, receivers, masks, stack } = self.block;
         let pattern = &tables.pattern;
-        // Rays of no length and bits without a ray count as blocked from the start.
-        let mut closed = [!0; W];
-        for (i, _) in pattern.lengths().iter().enumerate().filter(|&(_, &length)| length > 0.0) {
-            closed[i / 64] &= !(1 << (i % 64));
-        }
+        let closed = tables.closed_rays();
         for (receiver, out) in receivers.iter().zip(masks.chunks_mut(pattern.words())) {
             let blocked = scene.blocked(receiver, closed, stack, self.stats);
             out.iter_mut().enumerate().for_each(|(w, out)| *out = blocked[w] & !closed[w]);

@@ -2,9 +2,6 @@
 
 /// Watches a traversal. Every method does nothing unless overridden, so that `&mut ()` costs nothing.
 pub trait TableStatistics {
-    /// Whether anything is counted at all.
-    const COUNTS: bool = false;
-
     /// A node was entered; `boxes` of its children were tested against the hemisphere, `alive` met it.
     #[inline(always)]
     fn node(&mut self, boxes: u32, alive: u32) {
@@ -45,8 +42,6 @@ pub struct TableCounters {
 }
 
 impl TableStatistics for TableCounters {
-    const COUNTS: bool = true;
-
     #[inline]
     fn node(&mut self, boxes: u32, alive: u32) {
         self.nodes += 1;

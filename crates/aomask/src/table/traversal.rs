@@ -6,11 +6,9 @@
 
 use super::{
     TableStatistics,
-    edge::EdgeTable,
     lanes::{F8, V8, gain},
     node_mask::{LocalBoxes, NodeLookup, NodeMasks},
-    plane::PlaneTable,
-    triangle_mask::{Local, Triangles},
+    triangle_mask::{Local, TriangleTables, Triangles},
 };
 use crate::{Pattern, Receiver, Sides};
 use umbrage_accel::{Child, View};
@@ -21,10 +19,7 @@ pub(crate) struct Scene<'a, const W: usize> {
     pub(crate) view: View<'a>,
     pub(crate) bounds: Aabb,
     pub(crate) pattern: &'a Pattern,
-    /// By directions of rays.
-    pub(crate) edges: &'a EdgeTable<W>,
-    /// By ends of rays.
-    pub(crate) planes: &'a PlaneTable<W>,
+    pub(crate) triangles: TriangleTables<'a, W>,
     pub(crate) nodes: NodeLookup<'a, W>,
     pub(crate) node_masks: NodeMasks,
     pub(crate) radius: f32,
@@ -133,17 +128,37 @@ impl<const W: usize> Scene<'_, W> {
     #[inline(always)]
     fn leaf<S: TableStatistics>(&self, index: u32, local: &Local, blocked: &mut [u64; W], stats: &mut S) {
         let block = self.view.leaf(index);
-        let mut triangles = Triangles::new(block, local, self.sides);
-        if S::COUNTS {
-            let used = block.len() as u32;
-            stats.leaf(used, triangles.after.map(u32::count_ones));
+        let [a, b, c] = block.corners();
+        let corners = [local.points(&a), local.points(&b), local.points(&c)];
+        let mut triangles = Triangles::new(corners, V8::splat(local.up()), self.sides);
+        // Comparisons with unused lanes, which are not a number, are false.
+        let used = corners[0].x.le(F8::splat(f32::INFINITY));
+        let large = triangles.large & used;
+        for i in (0..8).filter(|i| large >> i & 1 == 1) {
+            let corners = block.get(i).map(|p| local.point(p));
+            triangles.redo_large(i, corners, local.up().into(), self.sides);
         }
-        if triangles.alive != 0 {
-            triangles.masks(self.edges, self.planes, block, local, self.sides, |mask| {
-                for w in 0..W {
-                    blocked[w] |= mask[w];
-                }
-            });
+        // The order of the paper.
+        let mut alive = used;
+        let mut after = [0; 4];
+        let tests = [triangles.above, triangles.facing, triangles.close, triangles.reached];
+        for (test, after) in tests.into_iter().zip(&mut after) {
+            alive &= test;
+            *after = alive.count_ones();
+        }
+        stats.leaf(used.count_ones(), after);
+        if alive != 0 {
+            triangles.masks(
+                alive,
+                self.triangles,
+                |v| local.turn(v),
+                0.0,
+                |_, mask| {
+                    for w in 0..W {
+                        blocked[w] |= mask[w];
+                    }
+                },
+            );
         }
     }
 }

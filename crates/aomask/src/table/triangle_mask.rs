@@ -1,7 +1,7 @@
-//! Occlusion masks of triangles ([Laine10], section 3.1 and figure 1), and the tests that spare them (section 5).
+//! Occlusion masks of triangles ([Laine10], section 3.1 and figure 1), and the tests that spare them (sections 4.2 and 5).
 //!
-//! Here: eight triangles of a leaf at a time, in the pattern's axes and radii. Not here: which leaves are visited
-//! (`traversal.rs`).
+//! Here: eight pairs of a triangle and a receiver at a time. Not here: which pairs are asked about (`traversal.rs`,
+//! `raster/`).
 
 use super::{
     edge::EdgeTable,
@@ -9,7 +9,10 @@ use super::{
     plane::PlaneTable,
 };
 use crate::Sides;
-use umbrage_geom::{Frame, glam::Vec3, kernel::TriangleBlock};
+use umbrage_geom::{
+    Frame,
+    glam::{DVec3, Vec3},
+};
 
 /// Coordinates, in radii, up to which products of four stay far from the largest `f32`; beyond, `f64` is used.
 const LARGE: f32 = 1e9;
@@ -45,6 +48,11 @@ impl Local {
         V8::new(V8::splat(x).dot(v), V8::splat(y).dot(v), V8::splat(z).dot(v))
     }
 
+    /// A point around the receiver, in radii, world axes.
+    pub(crate) fn point(&self, p: [f32; 3]) -> DVec3 {
+        (Vec3::from(p).as_dvec3() - Vec3::from(self.origin).as_dvec3()) * f64::from(self.inverse)
+    }
+
     /// The pattern's axis along the normal.
     #[inline(always)]
     pub(crate) fn up(&self) -> [f32; 3] {
@@ -52,114 +60,125 @@ impl Local {
     }
 }
 
-/// Eight triangles with what their masks need. Lanes that are culled, unused or degenerate are not in `alive`.
+/// Tables that masks of triangles are looked up in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TriangleTables<'a, const W: usize> {
+    /// By directions of rays.
+    pub(crate) edges: &'a EdgeTable<W>,
+    /// By ends of rays, in radii.
+    pub(crate) planes: &'a PlaneTable<W>,
+    /// By ends of rays as if all had length 1.
+    pub(crate) directions: &'a PlaneTable<W>,
+}
+
+/// Eight pairs of a triangle and a receiver with what their masks need. Bits of lanes.
 pub(crate) struct Triangles {
-    pub(crate) alive: u32,
-    /// Lanes left after each of the four culling tests.
-    pub(crate) after: [u32; 4],
+    /// Lanes where the triangle has a vertex above the horizon.
+    pub(crate) above: u32,
+    /// Lanes where the triangle faces the receiver, if it is one-sided; never those whose plane holds the receiver.
+    pub(crate) facing: u32,
+    /// Lanes where the triangle's plane is within the radius.
+    pub(crate) close: u32,
+    /// Lanes where the bounding sphere of the region of influence holds the receiver.
+    pub(crate) reached: u32,
     /// Planes through the receiver and each edge: inward normals, world axes.
     edges: [V8; 3],
     /// The triangles' planes: normals away from the receiver, world axes, and distances in radii.
     normals: V8,
     distances: F8,
     /// Lanes whose numbers are too large for the above.
-    large: u32,
+    pub(crate) large: u32,
 }
 
 impl Triangles {
-    /// Puts the triangles of `block` through the culling tests.
+    /// Tests triangles with `corners` around their receivers, in radii, whose rays are around `up`.
     #[inline(always)]
-    pub(crate) fn new(block: &TriangleBlock, local: &Local, sides: Sides) -> Self {
-        let corners = &block.corners();
-        let (a, b, c) = (local.points(&corners[0]), local.points(&corners[1]), local.points(&corners[2]));
+    pub(crate) fn new([a, b, c]: [V8; 3], up: V8, sides: Sides) -> Self {
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-        let up = V8::splat(local.up());
         let top = a.dot(up).max(b.dot(up)).max(c.dot(up));
-        // Unused lanes are not a number.
-        let used = high.z.le(F8::splat(f32::INFINITY));
-        let large = F8::splat(LARGE).le(low.abs().max(high.abs()).largest()) & used;
-        // 1. All vertices below the horizon.
-        let above = F8::ZERO.lt(top) & used;
-        // 2. One-sided and facing away. Triangles whose plane holds the receiver block nothing.
         let normals = (b - a).cross(c - a);
         let heights = normals.dot(a);
-        let facing = above
-            & match sides {
-                Sides::Both => F8::ZERO.lt(heights.abs()),
-                Sides::Front => heights.lt(F8::ZERO),
-            };
-        // 3. The plane is beyond the radius.
+        let facing = match sides {
+            Sides::Both => F8::ZERO.lt(heights.abs()),
+            Sides::Front => heights.lt(F8::ZERO),
+        };
         let distances = heights.abs() / normals.dot(normals).sqrt();
-        let close = facing & distances.le(F8::splat(1.0));
-        // 4. The receiver is outside the bounding sphere of the region of influence.
-        let reached = close & within_reach([a, b, c], (low + high).scale(F8::splat(0.5)));
         let sign = heights.signum();
         Self {
-            alive: reached | large,
-            after: [above | large, facing | large, close | large, reached | large],
+            above: F8::ZERO.lt(top),
+            facing,
+            close: distances.le(F8::splat(1.0)),
+            reached: within_reach([a, b, c], (low + high).scale(F8::splat(0.5))),
             edges: [a.cross(b).scale(sign), b.cross(c).scale(sign), c.cross(a).scale(sign)],
             normals: normals.scale(sign),
             distances,
-            large,
+            large: F8::splat(LARGE).le(low.abs().max(high.abs()).largest()),
         }
     }
 
-    /// Calls `visit` with the mask of each triangle that is left.
+    /// Calls `visit` with the masks of the lanes in `which`; `turn` turns vectors to the pattern's axes. Hits nearer than
+    /// `near`, in radii, don't count ([Laine10], section 4.3).
     #[inline(always)]
     pub(crate) fn masks<const W: usize>(
-        &mut self,
-        edge_table: &EdgeTable<W>,
-        plane_table: &PlaneTable<W>,
-        block: &TriangleBlock,
-        local: &Local,
-        sides: Sides,
-        mut visit: impl FnMut([u64; W]),
+        &self,
+        which: u32,
+        tables: TriangleTables<'_, W>,
+        turn: impl Fn(V8) -> V8,
+        near: f32,
+        mut visit: impl FnMut(usize, [u64; W]),
     ) {
-        if self.large != 0 {
-            self.redo_large(block, local, sides);
-        }
         let [e0, e1, e2] = self.edges;
-        let edge_cells = |normals| edge_table.cells(local.turn(normals));
+        let edge_cells = |normals| tables.edges.cells(turn(normals));
         let (e0, e1, e2) = (edge_cells(e0), edge_cells(e1), edge_cells(e2));
-        let planes = plane_table.cells(local.turn(self.normals), self.distances);
-        let mut left = self.alive;
+        let normals = turn(self.normals);
+        let planes = tables.planes.cells(normals, self.distances);
+        let (mut near_cells, mut cut) = ([0; 8], 0);
+        if near > 0.0 {
+            let distances = self.distances / F8::splat(near);
+            cut = distances.le(F8::splat(1.0));
+            near_cells = tables.directions.cells(normals, distances.min(F8::splat(1.0)));
+        }
+        let mut left = which;
         while left != 0 {
             let i = left.trailing_zeros() as usize % 8;
             left &= left - 1;
-            let two = and(edge_table.mask(e0[i]), edge_table.mask(e1[i]));
-            let three = and(&two, edge_table.mask(e2[i]));
-            visit(and(&three, plane_table.mask(planes[i])));
+            let two = and(tables.edges.mask(e0[i]), tables.edges.mask(e1[i]));
+            let three = and(&two, tables.edges.mask(e2[i]));
+            let mut mask = and(&three, tables.planes.mask(planes[i]));
+            if cut >> i & 1 == 1 {
+                let crossed = tables.directions.mask(near_cells[i]);
+                for w in 0..W {
+                    mask[w] &= !crossed[w];
+                }
+            }
+            visit(i, mask);
         }
     }
 
-    /// The same tests and planes for triangles millions of radii in size, in `f64` and scaled by their size.
+    /// Does lane `i` again for a triangle many millions of radii in size: `corners` around the receiver, in radii.
     #[cold]
-    fn redo_large(&mut self, block: &TriangleBlock, local: &Local, sides: Sides) {
-        for i in (0..8).filter(|i| self.large >> i & 1 == 1) {
-            let origin = Vec3::from(local.origin).as_dvec3();
-            let [a, b, c] =
-                block.get(i).map(|p| (Vec3::from(p).as_dvec3() - origin) * f64::from(local.inverse));
-            let size = a.abs().max(b.abs()).max(c.abs()).max_element();
-            let normal = (b - a).cross(c - a).normalize_or_zero();
-            let height = normal.dot(a);
-            let faces = match sides {
-                Sides::Both => height != 0.0,
-                Sides::Front => height < 0.0,
-            };
-            let up = Vec3::from(local.up()).as_dvec3();
-            let top = a.dot(up).max(b.dot(up)).max(c.dot(up));
-            if top <= 0.0 || !faces || height.abs() > 1.0 {
-                self.alive &= !(1 << i);
-                continue;
-            }
-            let sign = height.signum();
-            let [a, b, c] = [a, b, c].map(|v| v / size);
-            for (row, v) in self.edges.iter_mut().zip([a.cross(b), b.cross(c), c.cross(a)]) {
-                row.set_lane(i, (v * sign).normalize_or_zero().as_vec3().to_array());
-            }
-            self.normals.set_lane(i, (normal * sign).as_vec3().to_array());
-            self.distances.0[i] = height.abs() as f32;
+    pub(crate) fn redo_large(&mut self, i: usize, corners: [DVec3; 3], up: Vec3, sides: Sides) {
+        let [a, b, c] = corners;
+        let size = a.abs().max(b.abs()).max(c.abs()).max_element();
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let height = normal.dot(a);
+        let facing = match sides {
+            Sides::Both => height != 0.0,
+            Sides::Front => height < 0.0,
+        };
+        let up = up.as_dvec3();
+        let set = |bits: &mut u32, bit: bool| *bits = *bits & !(1 << i) | u32::from(bit) << i;
+        set(&mut self.above, a.dot(up).max(b.dot(up)).max(c.dot(up)) > 0.0);
+        set(&mut self.facing, facing);
+        set(&mut self.close, height.abs() <= 1.0);
+        set(&mut self.reached, true);
+        let sign = height.signum();
+        let [a, b, c] = [a, b, c].map(|v| v / size);
+        for (row, v) in self.edges.iter_mut().zip([a.cross(b), b.cross(c), c.cross(a)]) {
+            row.set_lane(i, (v * sign).normalize_or_zero().as_vec3().to_array());
         }
+        self.normals.set_lane(i, (normal * sign).as_vec3().to_array());
+        self.distances.0[i] = height.abs() as f32;
     }
 }
 

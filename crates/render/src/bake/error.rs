@@ -111,6 +111,15 @@ pub enum BakeError {
         /// How many blocks of receivers there are to share.
         blocks: usize,
     },
+    /// Masks could not be computed.
+    #[error(transparent)]
+    Mask(umbrage_aomask::MaskError),
+    /// Masks know only free and blocked rays.
+    #[error("some occluder is semi-transparent, which this method can't do; use the method rays")]
+    SemiTransparent,
+    /// Rays could not be written down.
+    #[error("writing rays: {0}")]
+    Dump(std::io::Error),
     /// The progress callback returned `false`.
     #[error("cancelled")]
     Cancelled,
@@ -119,5 +128,14 @@ pub enum BakeError {
 impl From<umbrage_geom::Cancelled> for BakeError {
     fn from(_: umbrage_geom::Cancelled) -> Self {
         Self::Cancelled
+    }
+}
+
+impl From<umbrage_aomask::MaskError> for BakeError {
+    fn from(error: umbrage_aomask::MaskError) -> Self {
+        match error {
+            umbrage_aomask::MaskError::Cancelled => Self::Cancelled,
+            other => Self::Mask(other),
+        }
     }
 }

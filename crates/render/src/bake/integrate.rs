@@ -62,17 +62,7 @@ pub fn bake(
     if occluders.is_prefiltered() && options.sides != Sides::Both {
         return Err(BakeError::SidesWithPrefilter);
     }
-    if ao.len() != receivers.len() {
-        return Err(BakeError::Length { what: "results", actual: ao.len(), expected: receivers.len() });
-    }
-    check_count(receivers.len())?;
-    let blocks = blocks(receivers.len());
-    let Shard { index, count } = shard;
-    if index >= count || (count > 1 && count as usize > blocks) {
-        return Err(BakeError::Shard { index, count, blocks });
-    }
-    let order = morton::order(receivers.points());
-    let mine: Vec<&[u32]> = order.chunks(BLOCK).skip(index as usize).step_by(count as usize).collect();
+    let mine = shard_of(receivers, shard, ao)?;
     let integrator = Integrator::new(occluders, receivers, options);
     let progress = Progress::new(mine.len() as u64, progress);
     let results = mine
@@ -85,10 +75,28 @@ pub fn bake(
         })
         .collect::<Result<Vec<_>, BakeError>>()?;
     progress.finish()?;
-    for (&receiver, value) in mine.into_iter().flatten().zip(results.into_iter().flatten()) {
+    for (receiver, value) in mine.into_iter().flatten().zip(results.into_iter().flatten()) {
         ao[receiver as usize] = value;
     }
     Ok(())
+}
+
+/// Blocks of receivers in Morton order that belong to `shard`.
+///
+/// # Errors
+/// [`BakeError::Length`], [`BakeError::Count`], [`BakeError::Shard`].
+pub(super) fn shard_of(receivers: &Receivers, shard: Shard, ao: &[f32]) -> Result<Vec<Vec<u32>>, BakeError> {
+    if ao.len() != receivers.len() {
+        return Err(BakeError::Length { what: "results", actual: ao.len(), expected: receivers.len() });
+    }
+    check_count(receivers.len())?;
+    let blocks = blocks(receivers.len());
+    let Shard { index, count } = shard;
+    if index >= count || (count > 1 && count as usize > blocks) {
+        return Err(BakeError::Shard { index, count, blocks });
+    }
+    let order = morton::order(receivers.points());
+    Ok(order.chunks(BLOCK).skip(index as usize).step_by(count as usize).map(<[u32]>::to_vec).collect())
 }
 
 /// [`bake`] of plain points and normals, all of them, without progress.

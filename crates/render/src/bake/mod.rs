@@ -1,4 +1,4 @@
-//! Baking ambient occlusion onto vertices, texels or given points, by exact ray casting.
+//! Baking ambient occlusion onto vertices, texels or given points, by exact ray casting or by masks.
 //!
 //! Results are called `ao`: 1 is open, 0 fully occluded, as in glTF. Elsewhere the libraries speak of occlusion, `1 - ao`.
 //!
@@ -25,6 +25,7 @@
 
 mod error;
 mod integrate;
+mod mask;
 mod occluders;
 mod options;
 mod receivers;
@@ -35,6 +36,7 @@ mod tests;
 
 pub use error::BakeError;
 pub use integrate::{bake, bake_points, blocks};
+pub use mask::bake_mask_table;
 pub use occluders::{Ground, Occluders};
 pub use options::{BakeOptions, Jitter, NormalSource, Shard, Sides};
 pub use receivers::Receivers;

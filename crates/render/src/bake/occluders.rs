@@ -117,6 +117,15 @@ impl Occluders {
         self.bounds.diagonal()
     }
 
+    /// Whether every triangle blocks all light.
+    pub fn is_opaque(&self) -> bool {
+        self.depths.is_empty()
+    }
+
+    pub(super) fn bvh(&self) -> &Bvh {
+        &self.bvh
+    }
+
     /// Sum over `rays` of the fraction of light that passes. Each stands for a solid angle of `angles`.
     pub(super) fn light(&self, rays: &[Ray], angles: &[f32], sides: Sides, answers: &mut Answers) -> f64 {
         let Answers { blocked, cones, passed } = answers;

@@ -121,6 +121,11 @@ impl Lobe {
         (normal != Vec3::ZERO && face != Vec3::ZERO).then_some(Self { point, normal, face, share: 1.0 })
     }
 
+    /// Share of the rays that lobe `index` of a receiver's lobes has.
+    pub fn share(lobes: &[Self], index: usize) -> f32 {
+        lobes[index].share - if index == 0 { 0.0 } else { lobes[index - 1].share }
+    }
+
     /// The lobe that the random number `u` in `[0, 1)` belongs to. `lobes` is not empty.
     pub fn choose(lobes: &[Self], u: f32) -> &Self {
         &lobes[lobes.partition_point(|lobe| lobe.share <= u).min(lobes.len() - 1)]

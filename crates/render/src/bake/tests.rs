@@ -530,3 +530,62 @@ proptest! {
         prop_assert!(one <= both + 1e-6);
     }
 }
+
+#[test]
+fn masks_from_tables_are_close_to_rays() {
+    let (globe, floor) = (sphere(10), quad([-4.0, -1.01, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]));
+    let occluders = Occluders::build(&[&globe, &floor], Ground::Absent).unwrap();
+    for normals in [NormalSource::Smooth, NormalSource::Geometric] {
+        let receivers = Receivers::vertices(&globe, normals).unwrap();
+        let options = BakeOptions::default().with_rays(512).with_radius(Radius::Absolute(3.0));
+        let mut exact = vec![0.0; receivers.len()];
+        bake(&occluders, &receivers, &options, Shard::WHOLE, &mut exact, &mut |_| true).unwrap();
+        let table = |shard, ao: &mut [f32], dump: Option<&mut dyn std::io::Write>| {
+            bake_mask_table(&occluders, &receivers, &options, shard, ao, dump, &mut |_| true)
+        };
+        let (mut ao, mut rays) = (vec![f32::NAN; receivers.len()], Vec::new());
+        table(Shard::WHOLE, &mut ao, Some(&mut rays)).unwrap();
+        let error = ao.iter().zip(&exact).map(|(a, b)| (a - b).abs()).sum::<f32>() / ao.len() as f32;
+        let least = exact.iter().copied().fold(1.0, f32::min);
+        assert!(error < 0.015 && least < 0.7, "error {error}, least {least}, {normals:?}");
+        let mut parts = vec![f32::NAN; receivers.len()];
+        for index in 0..3 {
+            table(Shard { index, count: 3 }, &mut parts, None).unwrap();
+        }
+        assert_eq!(parts, ao, "{normals:?}");
+        // The rays written down, cast by a loop over all triangles.
+        let mut differ = 0;
+        for record in rays.chunks(36) {
+            let word = |i: usize| <[u8; 4]>::try_from(&record[4 * i..][..4]).unwrap();
+            let f = |i: usize| f32::from_le_bytes(word(i));
+            let ray = Ray {
+                origin: Vec3::new(f(0), f(1), f(2)),
+                tnear: f(3),
+                direction: Vec3::new(f(4), f(5), f(6)),
+                tfar: f(7),
+            };
+            assert!(ray.is_valid() && ray.tfar == 3.0);
+            differ += usize::from(occluders.bvh().any_hit(&ray) != (u32::from_le_bytes(word(8)) == 1));
+        }
+        let count = rays.len() / 36;
+        assert!(count >= receivers.len() * 512 && count.is_multiple_of(512));
+        assert!(differ * 50 < count, "{normals:?}: {differ} of {count}");
+    }
+}
+
+#[test]
+fn masks_name_what_they_cannot_do() {
+    let globe = sphere(4);
+    let receivers = Receivers::vertices(&globe, NormalSource::Smooth).unwrap();
+    let mut ao = vec![-1.0; receivers.len()];
+    let opaque = Occluders::build(&[&globe], Ground::Absent).unwrap();
+    let veil = Occluders::build(&[&transparent(globe.clone(), 0.5)], Ground::Absent).unwrap();
+    let mut call = |occluders: &Occluders, rays: u32, go_on: bool| {
+        let options = BakeOptions::default().with_rays(rays);
+        bake_mask_table(occluders, &receivers, &options, Shard::WHOLE, &mut ao, None, &mut |_| go_on)
+    };
+    assert!(matches!(call(&opaque, 33, true), Err(BakeError::Mask(umbrage_aomask::MaskError::Rays(33)))));
+    assert!(matches!(call(&veil, 64, true), Err(BakeError::SemiTransparent)));
+    assert!(matches!(call(&opaque, 64, false), Err(BakeError::Cancelled)));
+    assert!(ao.iter().all(|&ao| ao == -1.0));
+}

@@ -4,7 +4,7 @@ use super::{Interrupted, is_mesh, progress::Bar, thread_pool};
 use crate::{
     bake::{
         BakeError, BakeOptions, Ground, NormalSource, Occluders, Receivers, Shard, Sides, TexelMap, VAxis,
-        bake, blocks,
+        bake, bake_mask_table, blocks,
     },
     baked::{Baked, Surface, check_part_extension},
     fingerprint::Fingerprint,
@@ -12,7 +12,7 @@ use crate::{
 };
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::json;
-use std::{path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
+use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
 use umbrage_geom::{Falloff, TriangleMesh};
 use umbrage_scene::{Points, Radius, Scene, read_mesh, read_points};
 
@@ -75,6 +75,10 @@ pub struct BakeArguments {
     /// Bake only part I of N, to a .ply that `umbrage merge` joins with the others.
     #[arg(long, value_name = "I/N")]
     shard: Option<ShardSpec>,
+    /// Write all rays and whether they were blocked, for checks against other ray casters: 36 bytes a ray, little-endian
+    /// floats origin, tnear, direction, tfar, then 1 or 0 as an integer. Only for methods with masks.
+    #[arg(long, value_name = "FILE")]
+    dump_rays: Option<PathBuf>,
     /// Write times and counts as JSON.
     #[arg(long, value_name = "FILE.json")]
     stats: Option<PathBuf>,
@@ -88,6 +92,8 @@ enum Method {
     Rays,
     /// Rays that end at prefiltered nodes: approximate, for foliage and hair.
     Prefilter,
+    /// All rays of a receiver as one bit mask, from tables: approximate. 32 to 1024 rays, a multiple of 32.
+    MaskTable,
 }
 
 impl Method {
@@ -96,6 +102,7 @@ impl Method {
         match self {
             Self::Auto | Self::Rays => "rays",
             Self::Prefilter => "prefilter",
+            Self::MaskTable => "mask-table",
         }
     }
 }
@@ -206,7 +213,11 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
         arguments.points.is_none() || arguments.per == Per::Vertex,
         "--points and --per texel exclude each other"
     );
-    for path in std::iter::once(&arguments.output).chain(&arguments.stats) {
+    ensure!(
+        arguments.dump_rays.is_none() || matches!(arguments.method, Method::MaskTable),
+        "--dump-rays needs a method with masks: --method mask-table"
+    );
+    for path in std::iter::once(&arguments.output).chain(&arguments.stats).chain(&arguments.dump_rays) {
         umbrage_scene::check_writable(path)?;
     }
     if arguments.shard.is_some() {
@@ -288,7 +299,30 @@ fn bake_and_write(
     let start = Instant::now();
     let mut ao = vec![f32::NAN; receivers.len()];
     let part = Shard { index: shard.index() - 1, count: shard.count() };
-    match bake(&occluders, &receivers, options, part, &mut ao, &mut |f| bar.report(f)) {
+    let mut report = |f| bar.report(f);
+    let mut by_masks = |dump: Option<&mut dyn Write>| {
+        bake_mask_table(&occluders, &receivers, options, part, &mut ao, dump, &mut report)
+    };
+    let result = match (arguments.method, &arguments.dump_rays) {
+        (Method::MaskTable, None) => by_masks(None),
+        (Method::MaskTable, Some(path)) => {
+            let mut failure = None;
+            let written = umbrage_scene::write_atomically(path, |out| {
+                by_masks(Some(out)).map_err(|error| {
+                    failure = Some(error);
+                    std::io::ErrorKind::Other.into()
+                })
+            });
+            match failure {
+                Some(error) => Err(error),
+                None => Ok(written?),
+            }
+        }
+        (Method::Auto | Method::Rays | Method::Prefilter, _) => {
+            bake(&occluders, &receivers, options, part, &mut ao, &mut report)
+        }
+    };
+    match result {
         Ok(()) => {}
         Err(BakeError::Cancelled) => return Err(Interrupted.into()),
         Err(other) => bail!(other),
