@@ -388,9 +388,9 @@ pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
     let alive = root.lanes();
     let found = [Blocker::Nothing; N];
     let mut walk = Walk { kernel, tree, group: &group, stats, found, alive, solid: 0 };
-    for lane in 0..N {
+    for (lane, ray) in rays.into_iter().enumerate() {
         let Some(slab) = group.slabs[lane].as_ref().filter(|_| alive & 1 << lane != 0) else { continue };
-        match cells.start(lane, rays[lane], slab) {
+        match cells.start(lane, ray, slab) {
             Start::Cells => walk.solid |= 1 << lane,
             Start::Plain => {}
             Start::Blocked(slot) => {
