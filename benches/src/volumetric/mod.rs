@@ -1,4 +1,4 @@
-//! Suite `volumetric`: opaque cells inside closed meshes, [Djeu11], chapters 3 and 4, and solid boxes in wide hierarchies.
+//! Suite `volumetric`: opaque cells inside closed meshes, Djeu11, chapters 3 and 4, and solid boxes in wide hierarchies.
 
 mod methods;
 mod pictures;

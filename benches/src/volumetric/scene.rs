@@ -1,4 +1,4 @@
-//! Scenes and shadow rays as in [Djeu11], section 3.7.2: a mesh on a ground plane under five area lights on a ring.
+//! Scenes and shadow rays as in Djeu11, section 3.7.2: a mesh on a ground plane under five area lights on a ring.
 
 use crate::scenes;
 use anyhow::Result;

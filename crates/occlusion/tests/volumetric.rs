@@ -169,7 +169,7 @@ proptest! {
                     prop_assert_eq!(&packets, &truth, "{:?} {:?}", query, back_end);
                     // Where an end is outside for certain, saying so changes nothing.
                     for (ray, &hit) in rays.iter().zip(&truth) {
-                        let end = Vec3::from(ray.at(ray.tfar));
+                        let end = ray.at(ray.tfar);
                         if ray.tfar == f32::INFINITY || built.is_outside(&Aabb { min: end - 1e-3, max: end + 1e-3 }) {
                             prop_assert_eq!(built.any_hit(ray, &query.with_ends(Ends::Outside), &mut scratch), hit);
                         }
@@ -210,7 +210,7 @@ proptest! {
                     prop_assert_eq!(hits[i], fan_truth[i], "{:?} {} {:?}", light, simd, fans[i]);
                 }
                 for (ray, &hit) in rays.iter().zip(&single_truth) {
-                    let end = Vec3::from(ray.at(ray.tfar));
+                    let end = ray.at(ray.tfar);
                     if ray.tfar == f32::INFINITY || built.is_outside(&Aabb { min: end - 1e-3, max: end + 1e-3 }) {
                         prop_assert_eq!(built.any_hit(ray, Ends::Outside, light, &mut scratch), hit);
                     }

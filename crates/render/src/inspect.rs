@@ -68,7 +68,7 @@ impl From<&Edges> for EdgeReport {
 /// Whether an object is the boundary of a solid, see [`umbrage_geom::audit`]; examples are the first few.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SolidReport {
-    /// Whether it is closed, consistent and doesn't cut itself ([Djeu11], section 3.1).
+    /// Whether it is closed, consistent and doesn't cut itself (Djeu11, section 3.1).
     pub well_behaved: bool,
     /// Whether its triangles, some turned, are a closed surface: then it can generate occluders.
     pub encloses: bool,

@@ -1,6 +1,6 @@
 //! Shadow methods that end rays inside of solids: `kd`, `kd-volumetric`, `bvh-volumetric`.
 //!
-//! Structures are built when the first ray asks ([Djeu11], section 4.8.5). Scenes with instances kept apart or with
+//! Structures are built when the first ray asks (Djeu11, section 4.8.5). Scenes with instances kept apart or with
 //! semi-transparent triangles are traced by single rays instead. Exact: pictures don't change.
 
 use crate::{

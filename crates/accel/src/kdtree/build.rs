@@ -1,8 +1,8 @@
 //! The build: surface area heuristic over all candidate planes, in `O(n log n)`.
 //!
-//! [WaldHavran06], section 4.3: the ends of all triangles' boxes are sorted once; every split takes the sorted lists apart,
+//! WaldHavran06, section 4.3: the ends of all triangles' boxes are sorted once; every split takes the sorted lists apart,
 //! clips the triangles that reach across, sorts only their new ends and merges them in. Empty space is favoured as by
-//! Hurley, Kapustin, Reshetov and Soupikov 2002, which [Djeu11], section 3.3 makes use of.
+//! Hurley, Kapustin, Reshetov and Soupikov 2002, which Djeu11, section 3.3 makes use of.
 
 use super::{
     KdOptions, clip,
@@ -227,7 +227,7 @@ impl Builder<'_, '_> {
         Ok(())
     }
 
-    /// [WaldHavran06], algorithm 5, one axis after the other.
+    /// WaldHavran06, algorithm 5, one axis after the other.
     fn best_split(&self, cell: &Aabb, events: &Events, count: usize) -> Option<Split> {
         let whole = area(cell);
         if whole <= 0.0 {
@@ -279,7 +279,7 @@ impl Builder<'_, '_> {
         best
     }
 
-    /// [WaldHavran06], section 4.3: sorted lists and counts of both children.
+    /// WaldHavran06, section 4.3: sorted lists and counts of both children.
     fn take_apart(&mut self, events: Events, split: &Split, cells: &[Aabb; 2]) -> [(Events, usize); 2] {
         for event in &events[0] {
             self.sides[event.prim()] = Side::Both;

@@ -33,7 +33,7 @@ pub struct KdOptions {
     pub cost_traverse: f32,
     /// Cost of testing a block of up to eight triangles.
     pub cost_intersect: f32,
-    /// Part of its cost that a split is forgiven when one side is empty ([Djeu11], section 3.3: 15 %).
+    /// Part of its cost that a split is forgiven when one side is empty (Djeu11, section 3.3: 15 %).
     pub empty_bonus: f32,
 }
 
@@ -154,7 +154,7 @@ impl KdTree {
         blocker
     }
 
-    /// [`Self::blocker`] of `N` rays that walk together; four are a packet as in [Djeu11], section 3.7.1.
+    /// [`Self::blocker`] of `N` rays that walk together; four are a packet as in Djeu11, section 3.7.1.
     #[inline]
     pub fn blockers<const N: usize>(
         &self,

@@ -1,9 +1,9 @@
 //! Nodes of eight bytes.
 //!
 //! An inner node keeps its split plane and the place of its right child; the left child follows it. A leaf has no child, and
-//! keeps its volumetric state in two bits of the unused pointer ([Djeu11], section 3.3).
+//! keeps its volumetric state in two bits of the unused pointer (Djeu11, section 3.3).
 
-/// What a leaf's cell is to a solid, [Djeu11], section 3.3.
+/// What a leaf's cell is to a solid, Djeu11, section 3.3.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum LeafState {

@@ -1,4 +1,4 @@
-//! Traversal orders ([Djeu11], section 3.4), for single rays and packets.
+//! Traversal orders (Djeu11, section 3.4), for single rays and packets.
 //!
 //! Here: which nodes a ray visits and when its triangles are tested. Not here: what makes a cell opaque, and which rays may
 //! end there: that is for the caller ([`Cells`]) to say.
@@ -18,14 +18,14 @@ use umbrage_geom::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Search {
-    /// Depth first, near before far: ray order, [Djeu11], section 3.4.1.
+    /// Depth first, near before far: ray order, Djeu11, section 3.4.1.
     Near,
     /// Depth first, the child with more opaque area first ([`KdTree::prefer_opaque`]). Not from the dissertation: finds large
     /// occluders nearly as early as a breadth-first search does, with the cheaper bookkeeping of a stack.
     Solid,
-    /// Breadth first, [Djeu11], section 3.4.3.
+    /// Breadth first, Djeu11, section 3.4.3.
     Breadth,
-    /// Breadth first, but a single child is entered at once, [Djeu11], section 3.4.4.
+    /// Breadth first, but a single child is entered at once, Djeu11, section 3.4.4.
     Quick,
 }
 
@@ -35,19 +35,19 @@ pub enum Search {
 pub struct Order {
     /// How nodes are searched.
     pub search: Search,
-    /// Length of the deferment list ([Djeu11], section 3.4.2): so many boundary leaves wait until opaque ones have been
+    /// Length of the deferment list (Djeu11, section 3.4.2): so many boundary leaves wait until opaque ones have been
     /// looked for. 0 tests them at once.
     pub deferred: u32,
-    /// Whether the list is emptied whenever a clear cell is entered: aggressive flush, [Djeu11], section 4.4.
+    /// Whether the list is emptied whenever a clear cell is entered: aggressive flush, Djeu11, section 4.4.
     pub flush_at_clear: bool,
 }
 
 impl Order {
     /// Standard ray order.
     pub const RAY: Self = Self::new(Search::Near, 0);
-    /// Extended ray order with a list of 512, for single objects ([Djeu11], section 3.4.2).
+    /// Extended ray order with a list of 512, for single objects (Djeu11, section 3.4.2).
     pub const EXTENDED: Self = Self::new(Search::Near, 512);
-    /// Extended ray order as for large scenes: a list of 8, flushed aggressively ([Djeu11], section 4.7.1).
+    /// Extended ray order as for large scenes: a list of 8, flushed aggressively (Djeu11, section 4.7.1).
     pub const EXTENDED_SPARSE: Self = Self { flush_at_clear: true, ..Self::new(Search::Near, 8) };
     /// Breadth-first order.
     pub const BREADTH: Self = Self::new(Search::Breadth, 0);
@@ -388,9 +388,9 @@ pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
     let alive = root.lanes();
     let found = [Blocker::Nothing; N];
     let mut walk = Walk { kernel, tree, group: &group, stats, found, alive, solid: 0 };
-    for lane in 0..N {
+    for (lane, ray) in rays.into_iter().enumerate() {
         let Some(slab) = group.slabs[lane].as_ref().filter(|_| alive & 1 << lane != 0) else { continue };
-        match cells.start(lane, rays[lane], slab) {
+        match cells.start(lane, ray, slab) {
             Start::Cells => walk.solid |= 1 << lane,
             Start::Plain => {}
             Start::Blocked(slot) => {

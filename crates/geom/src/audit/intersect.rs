@@ -1,6 +1,6 @@
 //! Triangles of one mesh that cut or touch each other elsewhere than where they are joined.
 //!
-//! Here: an exact test of two triangles, and a tree that finds candidates. Departure from [Djeu11], section 3.2, which names
+//! Here: an exact test of two triangles, and a tree that finds candidates. Departure from Djeu11, section 3.2, which names
 //! a collision library: every sign is exact, so touching counts and nothing is missed.
 
 use super::Finding;

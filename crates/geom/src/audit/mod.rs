@@ -1,10 +1,10 @@
-//! Is a mesh the boundary of a solid? Edges, orientation, self-intersections ([Djeu11], sections 3.1 and 3.2).
+//! Is a mesh the boundary of a solid? Edges, orientation, self-intersections (Djeu11, sections 3.1 and 3.2).
 //!
 //! Meshes are judged by position: vertices at exactly the same place count as one, because many files split vertices along
 //! seams. Triangles with two corners at one place have no edges and no part in any of this.
 //!
 //! # What enclosing takes
-//! A mesh is *well behaved* ([Djeu11], section 3.1) if every edge has two faces that run along it in opposite directions and
+//! A mesh is *well behaved* (Djeu11, section 3.1) if every edge has two faces that run along it in opposite directions and
 //! no two triangles cut each other. For occlusion less is enough: let every triangle be given a turn of 1 (as it is), -1
 //! (reversed) or 0 (left out), so that along every edge as many triangles run one way as the other. Then the turned triangles
 //! are a closed surface, its winding number ([`crate::winding_number`]) is the same along every path that meets none of
@@ -94,7 +94,7 @@ pub struct Audit {
 }
 
 impl Audit {
-    /// [Djeu11], section 3.1, but for the side of the normals, which [`Orientation::turns`] put right.
+    /// Djeu11, section 3.1, but for the side of the normals, which [`Orientation::turns`] put right.
     pub fn well_behaved(&self) -> bool {
         self.edges.closed() && self.self_intersections.count == 0
     }
@@ -177,7 +177,7 @@ pub fn edges(triangles: &[[u32; 3]], welded: &[u32]) -> Edges {
 
 /// Turns triangles so that each component is consistent and faces outwards.
 ///
-/// [Djeu11], section 3.2 sends a ray from outside to find the side of the normals; the signed volume says the same of a
+/// Djeu11, section 3.2 sends a ray from outside to find the side of the normals; the signed volume says the same of a
 /// component that doesn't cut itself, and chooses well for others.
 ///
 /// # Panics

@@ -1,9 +1,9 @@
-//! The occluder cache: the last opaque cells that ended rays to a light ([Djeu11], section 3.5).
+//! The occluder cache: the last opaque cells that ended rays to a light (Djeu11, section 3.5).
 
 use super::BoxPack;
 use umbrage_geom::{Aabb, SlabRay};
 
-/// Boxes that a light keeps ([Djeu11], section 3.5).
+/// Boxes that a light keeps (Djeu11, section 3.5).
 const PLACES: usize = 4;
 
 /// The most recently used occluders of one light, for one thread.

@@ -1,4 +1,4 @@
-//! Which empty cells are inside ([Djeu11], section 3.3).
+//! Which empty cells are inside (Djeu11, section 3.3).
 
 use super::Solids;
 use umbrage_accel::{
@@ -11,7 +11,7 @@ use umbrage_geom::{Aabb, glam::Vec3};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Classifier {
-    /// A test ray from the middle of each cell that is in the box of a generator ([Djeu11], sections 3.3 and 4.7.8).
+    /// A test ray from the middle of each cell that is in the box of a generator (Djeu11, sections 3.3 and 4.7.8).
     TestRays,
     /// One test ray for all cells that are connected through faces: no triangle lies between their insides
     /// ([`KdTree::for_each_empty_pair`]), so their winding numbers are the same.

@@ -50,7 +50,7 @@ impl KdVolumetricOptions {
 pub struct KdVolumetric {
     tree: KdTree,
     solids: Solids,
-    /// Cells of opaque leaves, by slot: the node-to-bounds table of [Djeu11], section 3.5, for these alone.
+    /// Cells of opaque leaves, by slot: the node-to-bounds table of Djeu11, section 3.5, for these alone.
     boxes: Vec<Aabb>,
     /// Boxes around generators, at most [`GROUPS`].
     groups: Vec<Aabb>,
@@ -193,7 +193,7 @@ impl KdVolumetric {
         hit
     }
 
-    /// [`Self::any_hit`] of each ray, in packets of four ([Djeu11], section 3.7.1).
+    /// [`Self::any_hit`] of each ray, in packets of four (Djeu11, section 3.7.1).
     ///
     /// # Panics
     /// If the slices differ in length.
@@ -265,7 +265,7 @@ impl KdVolumetric {
         &self.boxes
     }
 
-    /// Opaque leaves among all leaves ([Djeu11], section 4.8.2).
+    /// Opaque leaves among all leaves (Djeu11, section 4.8.2).
     pub fn occurrence_rate(&self) -> f64 {
         // Every inner node has two children.
         self.boxes.len() as f64 / self.tree.node_count().div_ceil(2) as f64

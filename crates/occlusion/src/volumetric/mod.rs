@@ -1,4 +1,4 @@
-//! Opaque cells inside closed meshes end shadow rays early, and images don't change ([Djeu11], chapters 2 to 4).
+//! Opaque cells inside closed meshes end shadow rays early, and images don't change (Djeu11, chapters 2 to 4).
 //!
 //! # Theorem
 //! Let turned triangles be a closed surface ([`umbrage_geom::audit`]), `x` a point of an open segment and `y` another point of
@@ -12,12 +12,12 @@
 //! ends, or any point of it, is known to be in space of winding number 0. Three rules keep this exact:
 //!
 //! - *Insides only.* A cell ends a ray only if the segment surely has a point strictly inside it, whatever was rounded
-//!   ([`umbrage_geom::SlabRay::surely_crosses`]). [Djeu11], section 3.6.1 leaves false occlusion near the edges of cells open.
-//! - *The endpoint rule.* One end must be outside; [`Ends`] says how that is known. [Djeu11], section 3.3 assumes it.
+//!   ([`umbrage_geom::SlabRay::surely_crosses`]). Djeu11, section 3.6.1 leaves false occlusion near the edges of cells open.
+//! - *The endpoint rule.* One end must be outside; [`Ends`] says how that is known. Djeu11, section 3.3 assumes it.
 //! - *Guards.* A mesh with holes is closed by caps, and what its cells say holds for segments that don't meet the boxes around
-//!   the caps. [Djeu11], section 4.7.4 rejects such meshes.
+//!   the caps. Djeu11, section 4.7.4 rejects such meshes.
 //!
-//! Self-intersections, nested and touching shells do no harm, so the audit's test for them ([Djeu11], section 3.2) isn't
+//! Self-intersections, nested and touching shells do no harm, so the audit's test for them (Djeu11, section 3.2) isn't
 //! needed here.
 
 mod boxes;

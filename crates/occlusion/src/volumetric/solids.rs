@@ -1,4 +1,4 @@
-//! Which objects are solid: occluder generators ([Djeu11], section 4.2), with caps over their holes.
+//! Which objects are solid: occluder generators (Djeu11, section 4.2), with caps over their holes.
 
 use std::ops::Range;
 use umbrage_accel::KdTree;
@@ -14,7 +14,7 @@ use umbrage_geom::{
 pub struct Object {
     /// Which triangles.
     pub triangles: Range<u32>,
-    /// Whether no light passes them: others never make occluders ([Djeu11], section 3.8.1).
+    /// Whether no light passes them: others never make occluders (Djeu11, section 3.8.1).
     pub opaque: bool,
 }
 
@@ -75,7 +75,7 @@ pub struct Solids {
 }
 
 /// Direction of test rays. Any will do: crossings are counted exactly ([`umbrage_geom::crosses_triangle`]), so that
-/// [Djeu11], section 3.3's second ray after an edge-on hit isn't needed.
+/// Djeu11, section 3.3's second ray after an edge-on hit isn't needed.
 const TEST_DIRECTION: Vec3 = Vec3::new(0.537_7, 0.833_9, -0.125_9);
 
 impl Solids {

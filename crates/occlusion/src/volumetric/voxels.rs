@@ -1,6 +1,6 @@
 //! A grid of voxels over one generator: which are cut by its surface, which are inside, which outside.
 //!
-//! The other source of occluders beside the cells of a kd-tree, for structures that have none ([Djeu11], section 3.9 leaves
+//! The other source of occluders beside the cells of a kd-tree, for structures that have none (Djeu11, section 3.9 leaves
 //! bounding volume hierarchies out). Planes are `f32` numbers, and every voxel whose closed box a triangle may touch is
 //! marked, so that boxes of unmarked voxels are empty exactly.
 

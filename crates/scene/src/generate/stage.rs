@@ -1,4 +1,4 @@
-//! `stage`: closed characters, an open trunk and leaves on a ground: many objects, few of them solid ([Djeu11],
+//! `stage`: closed characters, an open trunk and leaves on a ground: many objects, few of them solid (Djeu11,
 //! section 4.4).
 
 use super::{

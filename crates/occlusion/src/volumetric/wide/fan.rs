@@ -420,10 +420,10 @@ impl SeenBlock {
                     length[i] = if x > length[i] { x } else { length[i] };
                 }
             }
-            for axis in 0..3 {
+            for (axis, row) in cross.iter_mut().enumerate() {
                 let (j, k) = ((axis + 1) % 3, (axis + 2) % 3);
                 for i in 0..LANES {
-                    cross[axis][i] = p[j][i] * side[k][i] - p[k][i] * side[j][i];
+                    row[i] = p[j][i] * side[k][i] - p[k][i] * side[j][i];
                 }
             }
         }

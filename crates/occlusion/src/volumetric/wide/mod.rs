@@ -1,6 +1,6 @@
 //! Solid boxes in a wide bounding volume hierarchy.
 //!
-//! [Djeu11], section 3.9 says that volumetric occluders don't apply to bounding volume hierarchies, which have no empty
+//! Djeu11, section 3.9 says that volumetric occluders don't apply to bounding volume hierarchies, which have no empty
 //! nodes. But the slab test of a wide node covers eight boxes whether they are children or not: boxes from inside of solids in
 //! some of the slots cost no test of their own, and those near the root are met before any triangle.
 //!
