@@ -34,7 +34,7 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Only this part of the suite aomask: targets, table1.
+    /// Only this part of the suite aomask: targets, table1, mask.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
 }

@@ -1,0 +1,287 @@
+//! The walk of up to 256 rays of one origin through the hierarchy.
+//!
+//! Here: what is visited with which rays. Near the root an entry stands for groups of eight rays, tested as cones; once no more
+//! than four groups are left, for single rays. Not here: the tests (`kernel`), what a hit means ([`Goal`]).
+
+use super::{
+    kernel::{Hull, Kernel, LANES, LeafRows, Stack, ray_of},
+    rays::{GROUP, GROUPS, RaySet},
+};
+use umbrage_accel::{Bvh, View};
+use umbrage_geom::kernel::{BlockMask, TriangleBlock};
+
+/// Most groups of an entry that knows single rays.
+const FEW: u32 = 4;
+
+/// From how many rays on a leaf is tested triangle by triangle.
+const MANY: u32 = 12;
+
+/// Fewest rays for which a node is first tested against the hull.
+const WIDE: u32 = 4;
+
+/// What is asked about the rays.
+pub(crate) trait Goal {
+    /// Takes the triangles of `leaf` that the filter found on ray number `ray`. Whether the ray needs no more.
+    fn lanes(&mut self, walk: &Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool;
+
+    /// Takes the rays of `group` that the filter found to meet the triangle in `lane` of `leaf`. The rays that need no more.
+    fn rays(&mut self, walk: &Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8;
+
+    /// Triangles of a leaf that can be skipped, a bit each, by the sides on which the origin is for certain.
+    fn skipped(&self, sides: impl FnOnce() -> (u32, u32)) -> u32;
+}
+
+/// What a goal may look at.
+pub(crate) struct Ground<'a> {
+    pub(crate) bvh: &'a Bvh,
+    pub(crate) rays: &'a RaySet,
+    pub(crate) origin: [f32; 3],
+    /// Number that the walk was started with.
+    pub(crate) item: usize,
+}
+
+impl Ground<'_> {
+    pub(crate) fn block(&self, leaf: u32) -> &TriangleBlock {
+        self.bvh.view().leaf(leaf)
+    }
+}
+
+/// Rays on their way.
+pub(crate) struct Walk {
+    pub(crate) rays: RaySet,
+    /// By group: rays that need no more.
+    pub(crate) done: [u8; GROUPS],
+    /// Groups with rays that do.
+    open: u32,
+    pub(crate) item: usize,
+    origin: [f32; 3],
+    hull: Hull,
+    stack: Stack,
+    top: usize,
+}
+
+impl Walk {
+    pub(crate) fn new() -> Self {
+        Self {
+            rays: RaySet::new(),
+            done: [u8::MAX; GROUPS],
+            open: 0,
+            item: 0,
+            origin: [0.0; 3],
+            hull: Hull::default(),
+            stack: Stack::new(),
+            top: 0,
+        }
+    }
+
+    /// Starts at the root with what has been put into [`Self::rays`].
+    #[inline(always)]
+    pub(crate) fn start(&mut self, item: usize, origin: [f32; 3], hull: Hull) {
+        (self.item, self.origin, self.hull) = (item, origin, hull);
+        self.done = self.rays.closed;
+        self.open = self.rays.open();
+        self.top = 1;
+        self.stack.children[0] = 0;
+        if self.rays.groups <= FEW as usize {
+            (self.stack.groups[0], self.stack.rays[0]) = (0x0302_0100, u32::MAX);
+        } else {
+            (self.stack.groups[0], self.stack.rays[0]) = (u32::MAX, 0);
+        }
+    }
+
+    /// Rays of the groups `ids` that need no more.
+    #[inline(always)]
+    fn done_of(&self, ids: u32) -> u32 {
+        let of = |i: u32| u32::from(self.done[(ids >> (8 * i)) as usize % GROUPS]) << (8 * i);
+        of(0) | of(1) | of(2) | of(3)
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, group: usize, rays: u8) {
+        self.done[group] |= rays;
+        if self.done[group] == u8::MAX {
+            self.open &= !(1 << group);
+            if self.open == 0 {
+                self.top = 0;
+            }
+        }
+    }
+
+    /// Visits one node or leaf; false if there was none left.
+    #[inline(always)]
+    pub(crate) fn step<K: Kernel>(&mut self, kernel: K, bvh: &Bvh, goal: &mut impl Goal) -> bool {
+        let (child, groups, rays) = loop {
+            if self.top == 0 {
+                return false;
+            }
+            self.top -= 1;
+            let (groups, rays) = (self.stack.groups[self.top], self.stack.rays[self.top]);
+            let live = if rays == 0 { groups & self.open } else { rays & !self.done_of(groups) };
+            if live != 0 {
+                break if rays == 0 {
+                    (self.stack.children[self.top], live, 0)
+                } else {
+                    (self.stack.children[self.top], groups, live)
+                };
+            }
+        };
+        let leaf = child & View::LEAF != 0;
+        match (leaf, rays) {
+            (false, 0) => self.node_of_groups(kernel, bvh, child, groups),
+            (false, _) => self.node_of_rays(kernel, bvh, child, groups, rays),
+            (true, 0) => self.leaf_of_groups(kernel, bvh, child & !View::LEAF, groups, goal),
+            (true, _) => self.leaf_of_rays(kernel, bvh, child & !View::LEAF, groups, rays, goal),
+        }
+        // Without a loop over what was pushed, whose length nothing predicts.
+        let view = bvh.view();
+        for &child in &self.stack.children[self.top.saturating_sub(3)..self.top] {
+            kernel.prefetch(view.address(child), View::CHILD_BYTES);
+        }
+        true
+    }
+
+    #[inline(always)]
+    fn node_of_groups<K: Kernel>(&mut self, kernel: K, bvh: &Bvh, node: u32, live: u32) {
+        let node = bvh.view().node(node);
+        let rows = kernel.rows(node, self.origin);
+        let mut wanted = node.used() & kernel.inside(&rows, &self.hull);
+        if wanted == 0 {
+            return;
+        }
+        let spheres = kernel.spheres(&rows);
+        while wanted != 0 {
+            // Highest first: the stack is last in, first out, and larger boxes come first.
+            let child = 31 - wanted.leading_zeros() as usize;
+            wanted ^= 1 << child;
+            let groups = kernel.cones(&spheres, child, &self.rays) & live;
+            if groups == 0 {
+                continue;
+            }
+            let (mut groups, mut rays) = (groups, 0);
+            if groups.count_ones() <= FEW {
+                (groups, rays) = self.rays_of_groups(kernel, &rows, child, groups);
+                if rays == 0 {
+                    continue;
+                }
+            }
+            let top = self.top;
+            self.stack.children[top] = node.children()[child];
+            (self.stack.groups[top], self.stack.rays[top]) = (groups, rays);
+            self.top += 1;
+        }
+    }
+
+    /// The numbers of few groups, and their rays that may enter a child.
+    #[inline(always)]
+    fn rays_of_groups<K: Kernel>(
+        &self,
+        kernel: K,
+        rows: &super::kernel::Rows,
+        child: usize,
+        mut groups: u32,
+    ) -> (u32, u32) {
+        let (mut ids, mut rays, mut shift) = (0, 0, 0);
+        while groups != 0 {
+            let group = groups.trailing_zeros();
+            groups &= groups - 1;
+            let entered = kernel.box_rays(rows, child, &self.rays, group as usize);
+            ids |= group << shift;
+            rays |= (entered & !u32::from(self.done[group as usize % GROUPS])) << shift;
+            shift += 8;
+        }
+        (ids, rays)
+    }
+
+    #[inline(always)]
+    fn node_of_rays<K: Kernel>(&mut self, kernel: K, bvh: &Bvh, node: u32, ids: u32, rays: u32) {
+        let node = bvh.view().node(node);
+        let rows = kernel.rows(node, self.origin);
+        let mut wanted = node.used();
+        if rays.count_ones() >= WIDE {
+            wanted &= kernel.inside(&rows, &self.hull);
+        }
+        let children = node.children();
+        self.top =
+            kernel.push_rays(children, &rows, &self.rays, ids, rays, wanted, &mut self.stack, self.top);
+    }
+
+    #[inline(always)]
+    fn leaf_of_rays<K: Kernel>(
+        &mut self,
+        kernel: K,
+        bvh: &Bvh,
+        leaf: u32,
+        ids: u32,
+        mut left: u32,
+        goal: &mut impl Goal,
+    ) {
+        let planes = kernel.planes(bvh.view().leaf(leaf), self.origin);
+        if left.count_ones() >= MANY {
+            let mut groups = 0;
+            for i in 0..4 {
+                groups |= u32::from(left >> (8 * i) & 0xff != 0) << (ids >> (8 * i) & 31);
+            }
+            return self.triangles(kernel, bvh, leaf, &planes, groups, goal);
+        }
+        let skipped = goal.skipped(|| kernel.leaf_rows(&planes).planes.sides()) as u8;
+        while left != 0 {
+            let ray = ray_of(ids, left.trailing_zeros());
+            left &= left - 1;
+            let BlockMask { certain, uncertain } = kernel.ray_lanes(&planes, &self.rays, ray);
+            let mask = BlockMask { certain: certain & !skipped, uncertain: uncertain & !skipped };
+            if mask.certain | mask.uncertain != 0 {
+                let Self { rays, origin, item, .. } = self;
+                let ground = Ground { bvh, rays, origin: *origin, item: *item };
+                if goal.lanes(&ground, leaf, ray, mask) {
+                    self.finish(ray / GROUP, 1 << (ray % GROUP));
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn leaf_of_groups<K: Kernel>(
+        &mut self,
+        kernel: K,
+        bvh: &Bvh,
+        leaf: u32,
+        groups: u32,
+        goal: &mut impl Goal,
+    ) {
+        let planes = kernel.planes(bvh.view().leaf(leaf), self.origin);
+        self.triangles(kernel, bvh, leaf, &planes, groups, goal);
+    }
+
+    /// Tests groups against a leaf, triangle by triangle.
+    #[inline(always)]
+    fn triangles<K: Kernel>(
+        &mut self,
+        kernel: K,
+        bvh: &Bvh,
+        leaf: u32,
+        planes: &K::Planes,
+        mut groups: u32,
+        goal: &mut impl Goal,
+    ) {
+        let rows: LeafRows = kernel.leaf_rows(planes);
+        let used = rows.planes.used() & !goal.skipped(|| rows.planes.sides());
+        while groups != 0 {
+            let group = groups.trailing_zeros() as usize % GROUPS;
+            groups &= groups - 1;
+            let mut lanes = kernel.group_lanes(&rows, &self.rays, group) & used;
+            while lanes != 0 {
+                let lane = lanes.trailing_zeros() as usize % LANES;
+                lanes &= lanes - 1;
+                let open = !self.done[group];
+                let BlockMask { certain, uncertain } = kernel.lane_rays(&rows, lane, &self.rays, group);
+                let mask = BlockMask { certain: certain & open, uncertain: uncertain & open };
+                if mask.certain | mask.uncertain != 0 {
+                    let Self { rays, origin, item, .. } = self;
+                    let ground = Ground { bvh, rays, origin: *origin, item: *item };
+                    let done = goal.rays(&ground, leaf, lane, group, mask);
+                    self.finish(group, done);
+                }
+            }
+        }
+    }
+}
