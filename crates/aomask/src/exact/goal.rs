@@ -1,4 +1,4 @@
-//! What hits mean: blocked or not.
+//! What hits mean: blocked or not, or dimmed.
 
 use super::{
     rays::GROUP,
@@ -8,7 +8,7 @@ use crate::Sides;
 use std::ops::ControlFlow;
 use umbrage_accel::Bvh;
 use umbrage_geom::{
-    Ray, TriangleHit, intersect_triangle,
+    OpticalDepth, Ray, TriangleHit, intersect_triangle,
     kernel::{BlockMask, LANES},
     segment_hits_triangle,
 };
@@ -84,5 +84,57 @@ impl Goal for Blocked {
             Sides::Both => 0,
             Sides::Front => sides().1,
         }
+    }
+}
+
+/// Rays are dimmed by every triangle they hit.
+pub(crate) struct Dimmed<'a, F> {
+    /// By ray, from the first of all walks: clear at the start.
+    pub(crate) sums: &'a mut [OpticalDepth],
+    pub(crate) depth_of: &'a F,
+}
+
+impl<F: Fn(u32) -> OpticalDepth> Dimmed<'_, F> {
+    /// Adds what the triangle in `lane` blocks of ray number `ray`, if it is hit. Whether nothing gets through any more.
+    #[inline(always)]
+    fn add(&mut self, ground: &Ground<'_>, leaf: u32, lane: usize, ray: usize, certain: bool) -> bool {
+        let hit = certain
+            || segment_hits_triangle(&ground.rays.ray(ray, ground.origin), ground.block(leaf).get(lane));
+        let sum = &mut self.sums[ground.item + ray];
+        if hit {
+            *sum += (self.depth_of)(ground.bvh.view().prims(leaf)[lane]);
+        }
+        sum.is_opaque()
+    }
+}
+
+impl<F: Fn(u32) -> OpticalDepth> Goal for Dimmed<'_, F> {
+    #[inline(always)]
+    fn lanes(&mut self, ground: &Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool {
+        let mut open = mask.certain | mask.uncertain;
+        let mut opaque = false;
+        while open != 0 {
+            let lane = open.trailing_zeros() as usize % LANES;
+            open &= open - 1;
+            opaque |= self.add(ground, leaf, lane, ray, mask.certain >> lane & 1 == 1);
+        }
+        opaque
+    }
+
+    #[inline(always)]
+    fn rays(&mut self, ground: &Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8 {
+        let (mut open, mut done) = (mask.certain | mask.uncertain, 0);
+        while open != 0 {
+            let i = open.trailing_zeros() as usize;
+            open &= open - 1;
+            let opaque = self.add(ground, leaf, lane, group * GROUP + i, mask.certain >> i & 1 == 1);
+            done |= u8::from(opaque) << i;
+        }
+        done
+    }
+
+    #[inline(always)]
+    fn skipped(&self, _: impl FnOnce() -> (u32, u32)) -> u32 {
+        0
     }
 }

@@ -6,6 +6,7 @@
 //! Exact: ray `i` of a receiver is blocked if and only if [`umbrage_geom::segment_hits_triangle`] holds for the ray of
 //! [`Pattern::rays_of`] and some triangle.
 
+pub mod fans;
 mod goal;
 mod kernel;
 mod rays;
@@ -19,7 +20,7 @@ use goal::{Blocked, any_hit};
 use kernel::{Hull, Job, Kernel};
 use rays::{GROUP, Part};
 use umbrage_accel::Bvh;
-use walk::Walk;
+use walk::{Goal, Walk};
 
 /// Walks that take turns, so that one works while others wait for memory.
 const TURNS: usize = 8;
@@ -98,43 +99,61 @@ impl Job for Run<'_> {
         if first {
             out.fill(0);
         }
-        walks.iter_mut().for_each(|walk| part.begin(&mut walk.rays));
+        for walk in walks.iter_mut().filter(|walk| walk.part != Some(part.first)) {
+            part.begin(&mut walk.rays);
+            walk.part = Some(part.first);
+        }
         let mut goal = Blocked { sides: options.sides };
-        let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
-        let (mut busy, mut next) = (0, 0);
-        loop {
-            while busy < TURNS && next < receivers.len() {
-                let (walk, receiver) = (&mut walks[turns[busy]], &receivers[next]);
-                let frame = pattern.frame_of(receiver);
-                part.turn(&frame, &mut walk.rays);
-                let hull = Hull::new(part.reach, frame.normal.to_array());
-                walk.start(next, receiver.point().to_array(), hull);
-                next += 1;
-                busy += 1;
-            }
-            if busy == 0 {
-                return;
-            }
-            let mut turn = 0;
-            while turn < busy {
-                let walk = &mut walks[turns[turn]];
-                if walk.step(kernel, bvh, &mut goal) {
-                    turn += 1;
-                } else {
-                    let item = walk.item;
-                    write(walk, part, &mut out[item * words..][..words]);
-                    alone(
-                        bvh,
-                        pattern,
-                        options,
-                        part,
-                        &receivers[item],
-                        walk,
-                        &mut out[item * words..][..words],
-                    );
-                    busy -= 1;
-                    turns.swap(turn, busy);
-                }
+        let mut next = 0;
+        let start = |walk: &mut Walk| {
+            let Some(receiver) = receivers.get(next) else { return false };
+            let frame = pattern.frame_of(receiver);
+            part.turn(&frame, &mut walk.rays);
+            let axis = frame.world_from_local(part.cone.axis).to_array();
+            let hull = Hull::new(part.reach, frame.normal.to_array(), axis, part.cone.angle);
+            walk.start(next, receiver.point().to_array(), hull);
+            next += 1;
+            true
+        };
+        let end = |walk: &Walk| {
+            let out = &mut out[walk.item * words..][..words];
+            write(walk, part, out);
+            alone(bvh, pattern, options, part, &receivers[walk.item], walk, out);
+        };
+        take_turns(kernel, bvh, walks, &mut goal, start, end);
+    }
+}
+
+/// Lets walks take turns, one step each, while `start` puts new rays into those that have ended. `start` returns false when
+/// there are no more; `end` sees each walk that has ended.
+#[inline(always)]
+fn take_turns<K: Kernel>(
+    kernel: K,
+    bvh: &Bvh,
+    walks: &mut [Walk],
+    goal: &mut impl Goal,
+    mut start: impl FnMut(&mut Walk) -> bool,
+    mut end: impl FnMut(&Walk),
+) {
+    let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
+    let (mut busy, mut more) = (0, true);
+    loop {
+        while busy < TURNS && more {
+            more = start(&mut walks[turns[busy]]);
+            busy += usize::from(more);
+        }
+        if busy == 0 {
+            return;
+        }
+        let mut turn = 0;
+        while turn < busy {
+            let walk = &mut walks[turns[turn]];
+            if walk.step(kernel, bvh, goal) {
+                turn += 1;
+            } else {
+                end(walk);
+                busy -= 1;
+                turns.swap(turn, busy);
             }
         }
     }

@@ -3,10 +3,11 @@
 //! Here: the prepared rays and how a pattern's rays get there. Directions are scaled by a power of two so that the sizes of
 //! their components add up to about 1/2 to 1, as [`umbrage_geom::kernel::fan`] wants it.
 
+use super::walk::FEW;
 use crate::Pattern;
 use umbrage_geom::{
     Frame, Ray,
-    glam::{DVec3, Vec3},
+    glam::Vec3,
     kernel::fan::{CHUNK, FanRays},
 };
 
@@ -19,8 +20,11 @@ pub(crate) const GROUPS: usize = 32;
 /// Most rays of a walk.
 pub(crate) const RAYS: usize = GROUP * GROUPS;
 
-/// More than a unit vector's rounding and a frame's lack of orthogonality turn a direction by.
-const SLACK: f64 = 4e-6;
+/// More than rounding, and a frame's lack of orthogonality, move a unit vector by.
+const SLACK: f32 = 4e-6;
+
+/// Chord from which a cone is no longer told from a half-space: about 83 degrees.
+const WIDE: f32 = 1.33;
 
 /// Smallest component of a scaled direction, but 0, whose reciprocal is safe: `2^-79`.
 const SMALLEST: f32 = 1.0 / (1u128 << 79) as f32;
@@ -147,40 +151,50 @@ impl RaySet {
         if self.invert() {
             self.close_small();
         }
-        for g in 0..self.groups {
-            let rays = &rays[g * GROUP..rays.len().min((g + 1) * GROUP)];
-            let open = rays.iter().enumerate().filter(|&(i, _)| self.closed[g] >> i & 1 == 0);
-            self.set_cone(g, &Cone::around(open.map(|(_, ray)| ray.direction.as_dvec3().normalize())));
+        // The cones of few groups aren't asked about.
+        if self.groups > FEW as usize {
+            for (g, group) in rays.chunks(GROUP).enumerate() {
+                let closed = self.closed[g];
+                let open = group.iter().enumerate().filter(|&(i, _)| closed >> i & 1 == 0);
+                self.set_cone(g, &Cone::around(open.map(|(_, ray)| unit(ray.direction))));
+            }
         }
     }
 
     fn set_cone(&mut self, g: usize, cone: &Cone) {
         for axis in 0..3 {
-            self.axis[axis][g] = cone.axis[axis] as f32;
+            self.axis[axis][g] = cone.axis[axis];
         }
-        (self.cos[g], self.sin[g], self.chord[g]) = (cone.cos, cone.sin, cone.chord);
+        ([self.cos[g], self.sin[g]], self.chord[g]) = (cone.angle, cone.chord);
     }
+}
+
+/// `v`, not 0, at unit length; its squared length may be out of range.
+#[inline(always)]
+pub(crate) fn unit(v: Vec3) -> Vec3 {
+    let v = v / v.abs().max_element();
+    v / v.length()
 }
 
 /// A cone around directions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cone {
-    pub(crate) axis: DVec3,
-    cos: f32,
-    sin: f32,
+    pub(crate) axis: Vec3,
+    /// Cosine and sine of a half-angle that is at least the cone's.
+    pub(crate) angle: [f32; 2],
     chord: f32,
 }
 
 impl Cone {
     /// Around unit vectors.
-    pub(crate) fn around(directions: impl Iterator<Item = DVec3> + Clone) -> Self {
-        let axis = directions.clone().sum::<DVec3>().try_normalize().unwrap_or(DVec3::Z);
-        let least = directions.clone().map(|d| d.dot(axis)).fold(1f64, f64::min);
-        let chord = directions.map(|d| d.distance(axis)).fold(0f64, f64::max) + SLACK;
-        let angle = least.clamp(-1.0, 1.0).acos() + SLACK;
+    #[inline(always)]
+    pub(crate) fn around(directions: impl Iterator<Item = Vec3> + Clone) -> Self {
+        let axis = directions.clone().sum::<Vec3>().try_normalize().unwrap_or(Vec3::Z);
+        let chord = directions.map(|d| d.distance(axis)).fold(0f32, f32::max) + SLACK;
+        let half = 0.5 * chord;
         // A wide cone meets everything.
-        let (cos, sin) = if angle < 1.5 { (angle.cos() as f32, angle.sin() as f32) } else { (-1e30, 1.0) };
-        Self { axis, cos, sin, chord: chord as f32 }
+        let narrow = [1.0 - 2.0 * half * half, 2.0 * half * (1.0 - half * half).max(0.0).sqrt()];
+        Self { axis, angle: if chord < WIDE { narrow } else { [-1e30, 1.0] }, chord }
     }
 }
 
@@ -199,6 +213,8 @@ pub(crate) struct Part {
     axes: [[f32; GROUPS]; 3],
     /// At least the length of any ray, world units.
     pub(crate) reach: f32,
+    /// Around all rays, in the pattern's frame.
+    pub(crate) cone: Cone,
 }
 
 /// The runs that a pattern is cut into: halves of halves, as it was ordered.
@@ -228,6 +244,7 @@ impl Part {
             set: RaySet::new(),
             axes: [[0.0; GROUPS]; 3],
             reach: 0.0,
+            cone: Cone::around(directions.iter().map(|d| d.normalize())),
         };
         part.set.groups = len / GROUP;
         for (i, (d, length)) in directions.iter().zip(&pattern.lengths()[first..]).enumerate() {
@@ -241,7 +258,7 @@ impl Part {
             part.set.closed[i / GROUP] &= !(u8::from(walks) << (i % GROUP));
         }
         for (g, group) in directions.chunks(GROUP).enumerate() {
-            let cone = Cone::around(group.iter().map(|d| d.as_dvec3().normalize()));
+            let cone = Cone::around(group.iter().map(|d| d.normalize()));
             part.set.set_cone(g, &cone);
         }
         part.axes = part.set.axis;

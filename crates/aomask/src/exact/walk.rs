@@ -11,10 +11,7 @@ use umbrage_accel::{Bvh, View};
 use umbrage_geom::kernel::{BlockMask, TriangleBlock};
 
 /// Most groups of an entry that knows single rays.
-const FEW: u32 = 4;
-
-/// From how many rays on a leaf is tested triangle by triangle.
-const MANY: u32 = 12;
+pub(crate) const FEW: u32 = 4;
 
 /// Fewest rays for which a node is first tested against the hull.
 const WIDE: u32 = 4;
@@ -49,6 +46,8 @@ impl Ground<'_> {
 /// Rays on their way.
 pub(crate) struct Walk {
     pub(crate) rays: RaySet,
+    /// First ray of the part of a pattern that [`Self::rays`] has begun with.
+    pub(crate) part: Option<usize>,
     /// By group: rays that need no more.
     pub(crate) done: [u8; GROUPS],
     /// Groups with rays that do.
@@ -64,11 +63,12 @@ impl Walk {
     pub(crate) fn new() -> Self {
         Self {
             rays: RaySet::new(),
+            part: None,
             done: [u8::MAX; GROUPS],
             open: 0,
             item: 0,
             origin: [0.0; 3],
-            hull: Hull::default(),
+            hull: Hull::new(0.0, [0.0; 3], [0.0; 3], [0.0; 2]),
             stack: Stack::new(),
             top: 0,
         }
@@ -149,6 +149,7 @@ impl Walk {
             return;
         }
         let spheres = kernel.spheres(&rows);
+        wanted &= kernel.ahead(&spheres, &self.hull);
         while wanted != 0 {
             // Highest first: the stack is last in, first out, and larger boxes come first.
             let child = 31 - wanted.leading_zeros() as usize;
@@ -215,15 +216,21 @@ impl Walk {
         mut left: u32,
         goal: &mut impl Goal,
     ) {
-        let planes = kernel.planes(bvh.view().leaf(leaf), self.origin);
-        if left.count_ones() >= MANY {
-            let mut groups = 0;
-            for i in 0..4 {
-                groups |= u32::from(left >> (8 * i) & 0xff != 0) << (ids >> (8 * i) & 31);
-            }
-            return self.triangles(kernel, bvh, leaf, &planes, groups, goal);
+        let block = bvh.view().leaf(leaf);
+        let above = kernel.above(block, self.origin, &self.hull);
+        if above == 0 {
+            return;
         }
-        let skipped = goal.skipped(|| kernel.leaf_rows(&planes).planes.sides()) as u8;
+        let planes = kernel.planes(block, self.origin);
+        let mut groups = 0;
+        for i in 0..4 {
+            groups |= u32::from(left >> (8 * i) & 0xff != 0) << (ids >> (8 * i) & 31);
+        }
+        // Each test takes eight triangles, or eight rays.
+        if left.count_ones() > groups.count_ones() * above.count_ones() {
+            return self.triangles(kernel, bvh, leaf, &planes, above, groups, goal);
+        }
+        let skipped = !above as u8 | goal.skipped(|| kernel.leaf_rows(&planes).planes.sides()) as u8;
         while left != 0 {
             let ray = ray_of(ids, left.trailing_zeros());
             left &= left - 1;
@@ -248,11 +255,16 @@ impl Walk {
         groups: u32,
         goal: &mut impl Goal,
     ) {
-        let planes = kernel.planes(bvh.view().leaf(leaf), self.origin);
-        self.triangles(kernel, bvh, leaf, &planes, groups, goal);
+        let block = bvh.view().leaf(leaf);
+        let above = kernel.above(block, self.origin, &self.hull);
+        if above != 0 {
+            let planes = kernel.planes(block, self.origin);
+            self.triangles(kernel, bvh, leaf, &planes, above, groups, goal);
+        }
     }
 
-    /// Tests groups against a leaf, triangle by triangle.
+    /// Tests groups against the triangles `lanes` of a leaf, one by one.
+    #[allow(clippy::too_many_arguments)] // the state of one visit
     #[inline(always)]
     fn triangles<K: Kernel>(
         &mut self,
@@ -260,18 +272,22 @@ impl Walk {
         bvh: &Bvh,
         leaf: u32,
         planes: &K::Planes,
-        mut groups: u32,
+        lanes: u32,
+        groups: u32,
         goal: &mut impl Goal,
     ) {
         let rows: LeafRows = kernel.leaf_rows(planes);
-        let used = rows.planes.used() & !goal.skipped(|| rows.planes.sides());
-        while groups != 0 {
-            let group = groups.trailing_zeros() as usize % GROUPS;
-            groups &= groups - 1;
-            let mut lanes = kernel.group_lanes(&rows, &self.rays, group) & used;
-            while lanes != 0 {
-                let lane = lanes.trailing_zeros() as usize % LANES;
-                lanes &= lanes - 1;
+        let mut lanes = lanes & kernel.near(&rows, &self.hull) & !goal.skipped(|| rows.planes.sides());
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize % LANES;
+            lanes &= lanes - 1;
+            let mut groups = groups & self.open;
+            if groups.count_ones() > FEW {
+                groups &= kernel.lane_groups(&rows, lane, &self.rays);
+            }
+            while groups != 0 {
+                let group = groups.trailing_zeros() as usize % GROUPS;
+                groups &= groups - 1;
                 let open = !self.done[group];
                 let BlockMask { certain, uncertain } = kernel.lane_rays(&rows, lane, &self.rays, group);
                 let mask = BlockMask { certain: certain & open, uncertain: uncertain & open };

@@ -65,26 +65,32 @@ pub(crate) struct Spheres {
     pub(crate) radius: [f32; LANES],
 }
 
-/// A part of space, relative to the receiver, that no ray leaves: a ball and a half-space.
-#[derive(Clone, Copy, Debug, Default)]
+/// A part of space, relative to the receiver, that no ray leaves: a ball, a half-space and a cone.
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Hull {
+    /// Radius of the ball, rounded up.
+    pub(crate) radius: f32,
     /// Squared radius of the ball, rounded up.
     pub(crate) radius2: f32,
     /// Unit vector into the half-space.
     pub(crate) up: [f32; 3],
     /// By axis: whether the corner of a box that is farthest up is at its smallest coordinate.
     pub(crate) down: [usize; 3],
+    /// Axis of the cone.
+    pub(crate) axis: [f32; 3],
+    /// Cosine and sine of its half-angle.
+    pub(crate) angle: [f32; 2],
 }
 
 impl Hull {
-    pub(crate) fn new(radius: f32, up: [f32; 3]) -> Self {
+    pub(crate) fn new(radius: f32, up: [f32; 3], axis: [f32; 3], angle: [f32; 2]) -> Self {
         let radius = radius * (1.0 + 1e-5);
         let mut down = [0; 3];
         for axis in 0..3 {
             down[axis] = usize::from(up[axis] < 0.0);
         }
         // Boxes nearer than this aren't told apart: their squares may vanish.
-        Self { radius2: (radius * radius).max(1e-30), up, down }
+        Self { radius, radius2: (radius * radius).max(1e-30), up, down, axis, angle }
     }
 }
 
@@ -110,6 +116,9 @@ pub(crate) trait Kernel: Copy {
 
     /// Spheres around the children.
     fn spheres(self, rows: &Rows) -> Spheres;
+
+    /// Children whose spheres meet the cone around all rays.
+    fn ahead(self, spheres: &Spheres, hull: &Hull) -> u32;
 
     /// Groups of `rays` that may meet sphere `child`.
     fn cones(self, spheres: &Spheres, child: usize, rays: &RaySet) -> u32;
@@ -141,8 +150,14 @@ pub(crate) trait Kernel: Copy {
     /// Triangles that ray number `ray` hits.
     fn ray_lanes(self, planes: &Self::Planes, rays: &RaySet, ray: usize) -> BlockMask;
 
-    /// Triangles that some ray of `group` may hit.
-    fn group_lanes(self, rows: &LeafRows, rays: &RaySet, group: usize) -> u32;
+    /// Triangles that reach above the plane of `hull`.
+    fn above(self, block: &TriangleBlock, origin: [f32; 3], hull: &Hull) -> u32;
+
+    /// Triangles whose planes come as near as `hull` reaches.
+    fn near(self, rows: &LeafRows, hull: &Hull) -> u32;
+
+    /// Groups with a ray that may hit the triangle in `lane`.
+    fn lane_groups(self, rows: &LeafRows, lane: usize, rays: &RaySet) -> u32;
 
     /// Rays of `group` that hit the triangle in `lane`.
     fn lane_rays(self, rows: &LeafRows, lane: usize, rays: &RaySet, group: usize) -> BlockMask;

@@ -71,6 +71,14 @@ impl Kernel for Scalar {
         spheres
     }
 
+    fn ahead(self, spheres: &Spheres, hull: &Hull) -> u32 {
+        (0..LANES).fold(0, |mask, i| {
+            let along = spheres.slack[i] + dot(hull.axis, spheres.center.map(|row| row[i]));
+            let rest = hull.angle[1] * spheres.radius[i] - hull.angle[0] * spheres.tangent[i];
+            mask | u32::from(!(along + rest < 0.0)) << i
+        })
+    }
+
     fn cones(self, spheres: &Spheres, child: usize, rays: &RaySet) -> u32 {
         let center = spheres.center.map(|row| row[child]);
         (0..GROUPS).fold(0, |mask, g| {
@@ -126,9 +134,24 @@ impl Kernel for Scalar {
         planes.filter(rays.direction.map(|row| row[ray]), 0.0, rays.far[ray])
     }
 
-    fn group_lanes(self, rows: &LeafRows, rays: &RaySet, group: usize) -> u32 {
-        let axis = rays.axis.map(|row| row[group]);
+    fn above(self, block: &TriangleBlock, origin: [f32; 3], hull: &Hull) -> u32 {
+        block.above(origin, hull.up).into()
+    }
+
+    fn near(self, rows: &LeafRows, hull: &Hull) -> u32 {
+        let LeafRows { planes, .. } = rows;
         (0..LANES).fold(0, |mask, lane| {
+            let sum = [0, 1, 2].map(|axis| planes.normals().iter().map(|n| n[axis][lane]).sum::<f32>());
+            let reach = hull.radius * (dot(sum, sum).sqrt() * (1.0 + 1e-5) + 8.0 * planes.error()[lane]);
+            let height = planes.volume()[lane].abs() - planes.volume_error()[lane];
+            // NaN counts as near.
+            mask | u32::from(!(height > reach)) << lane
+        })
+    }
+
+    fn lane_groups(self, rows: &LeafRows, lane: usize, rays: &RaySet) -> u32 {
+        (0..GROUPS).fold(0, |mask, group| {
+            let axis = rays.axis.map(|row| row[group]);
             let (mut below, mut above) = (false, false);
             for (normal, lengths) in rows.planes.normals().iter().zip(&rows.lengths) {
                 let middle = dot(axis, normal.map(|row| row[lane]));
@@ -136,8 +159,8 @@ impl Kernel for Scalar {
                 below |= middle + reach < 0.0;
                 above |= middle - reach > 0.0;
             }
-            mask | u32::from(!(below && above)) << lane
-        }) & rows.planes.used()
+            mask | u32::from(!(below && above)) << group
+        })
     }
 
     fn lane_rays(self, rows: &LeafRows, lane: usize, rays: &RaySet, group: usize) -> BlockMask {

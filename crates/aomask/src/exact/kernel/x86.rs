@@ -260,31 +260,68 @@ fn lengths(planes: &fan::scalar::Planes) -> [[f32; LANES]; 3] {
 
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn group_lanes(rows: &LeafRows, rays: &RaySet, group: usize) -> u32 {
-    let group = group % GROUPS;
-    let axis = [rays.axis[0][group], rays.axis[1][group], rays.axis[2][group]];
-    let chord = _mm256_set1_ps(rays.chord[group]);
-    let error = _mm256_mul_ps(load(rows.planes.error()), _mm256_set1_ps(4.0));
-    let (mut lowest, mut highest) = (_mm256_set1_ps(f32::INFINITY), _mm256_set1_ps(f32::NEG_INFINITY));
-    for k in 0..3 {
-        let [x, y, z] = &rows.planes.normals()[k];
-        let middle = _mm256_fmadd_ps(
-            load(x),
-            _mm256_set1_ps(axis[0]),
-            _mm256_fmadd_ps(
-                load(y),
-                _mm256_set1_ps(axis[1]),
-                _mm256_mul_ps(load(z), _mm256_set1_ps(axis[2])),
-            ),
-        );
-        let reach = _mm256_fmadd_ps(chord, load(&rows.lengths[k]), error);
-        lowest = _mm256_min_ps(_mm256_add_ps(middle, reach), lowest);
-        highest = _mm256_max_ps(_mm256_sub_ps(middle, reach), highest);
+fn near(rows: &LeafRows, hull: &Hull) -> u32 {
+    let planes = &rows.planes;
+    let [a, b, c] = planes.normals();
+    let mut square = _mm256_setzero_ps();
+    for axis in 0..3 {
+        let sum = _mm256_add_ps(_mm256_add_ps(load(&a[axis]), load(&b[axis])), load(&c[axis]));
+        square = _mm256_fmadd_ps(sum, sum, square);
     }
+    let error = _mm256_mul_ps(load(planes.error()), _mm256_set1_ps(8.0));
+    let size = _mm256_fmadd_ps(_mm256_sqrt_ps(square), _mm256_set1_ps(1.0 + 1e-5), error);
+    let reach = _mm256_mul_ps(size, _mm256_set1_ps(hull.radius));
+    let height = _mm256_andnot_ps(_mm256_set1_ps(-0.0), load(planes.volume()));
+    let height = _mm256_sub_ps(height, load(planes.volume_error()));
+    // NaN counts as near.
+    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NGT_UQ>(height, reach)) as u32
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn lane_groups(rows: &LeafRows, lane: usize, rays: &RaySet) -> u32 {
+    let lane = lane % LANES;
+    let error = _mm256_set1_ps(rows.planes.error()[lane] * 4.0);
     let zero = _mm256_setzero_ps();
-    let below = _mm256_cmp_ps::<_CMP_LT_OQ>(lowest, zero);
-    let above = _mm256_cmp_ps::<_CMP_GT_OQ>(highest, zero);
-    !(_mm256_movemask_ps(_mm256_and_ps(below, above)) as u32) & rows.planes.used()
+    let mut mask = 0;
+    for first in (0..rays.groups).step_by(LANES) {
+        // SAFETY: rows have `GROUPS` numbers, a multiple of `LANES`.
+        let of = |row: &[f32; GROUPS]| unsafe { _mm256_loadu_ps(row.as_ptr().add(first % GROUPS)) };
+        let axis = [of(&rays.axis[0]), of(&rays.axis[1]), of(&rays.axis[2])];
+        let chord = of(&rays.chord);
+        let (mut lowest, mut highest) = (_mm256_set1_ps(f32::INFINITY), _mm256_set1_ps(f32::NEG_INFINITY));
+        for k in 0..3 {
+            let [x, y, z] = &rows.planes.normals()[k];
+            let middle = _mm256_fmadd_ps(
+                axis[0],
+                _mm256_set1_ps(x[lane]),
+                _mm256_fmadd_ps(
+                    axis[1],
+                    _mm256_set1_ps(y[lane]),
+                    _mm256_mul_ps(axis[2], _mm256_set1_ps(z[lane])),
+                ),
+            );
+            let reach = _mm256_fmadd_ps(chord, _mm256_set1_ps(rows.lengths[k][lane]), error);
+            lowest = _mm256_min_ps(_mm256_add_ps(middle, reach), lowest);
+            highest = _mm256_max_ps(_mm256_sub_ps(middle, reach), highest);
+        }
+        let below = _mm256_cmp_ps::<_CMP_LT_OQ>(lowest, zero);
+        let above = _mm256_cmp_ps::<_CMP_GT_OQ>(highest, zero);
+        mask |= (!_mm256_movemask_ps(_mm256_and_ps(below, above)) as u32 & 0xff) << first;
+    }
+    mask
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn ahead(spheres: &Spheres, hull: &Hull) -> u32 {
+    let mut test = load(&spheres.slack);
+    for axis in 0..3 {
+        test = _mm256_fmadd_ps(load(&spheres.center[axis]), _mm256_set1_ps(hull.axis[axis]), test);
+    }
+    test = _mm256_fmadd_ps(_mm256_set1_ps(hull.angle[1]), load(&spheres.radius), test);
+    test = _mm256_fnmadd_ps(_mm256_set1_ps(hull.angle[0]), load(&spheres.tangent), test);
+    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NLT_UQ>(test, _mm256_setzero_ps())) as u32
 }
 
 #[inline]
@@ -314,6 +351,12 @@ impl Kernel for Avx2 {
     fn spheres(self, rows: &Rows) -> Spheres {
         // SAFETY: `self` proves the target features.
         unsafe { spheres(rows) }
+    }
+
+    #[inline(always)]
+    fn ahead(self, spheres: &Spheres, hull: &Hull) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { ahead(spheres, hull) }
     }
 
     #[inline(always)]
@@ -364,9 +407,20 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn group_lanes(self, rows: &LeafRows, rays: &RaySet, group: usize) -> u32 {
+    fn above(self, block: &TriangleBlock, origin: [f32; 3], hull: &Hull) -> u32 {
+        Avx2::above(self, block, origin, hull.up).into()
+    }
+
+    #[inline(always)]
+    fn near(self, rows: &LeafRows, hull: &Hull) -> u32 {
         // SAFETY: `self` proves the target features.
-        unsafe { group_lanes(rows, rays, group) }
+        unsafe { near(rows, hull) }
+    }
+
+    #[inline(always)]
+    fn lane_groups(self, rows: &LeafRows, lane: usize, rays: &RaySet) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { lane_groups(rows, lane, rays) }
     }
 
     #[inline(always)]

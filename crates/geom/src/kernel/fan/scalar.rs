@@ -108,6 +108,19 @@ impl Planes {
         &self.error
     }
 
+    /// Six times the signed volume between the origin and each triangle, by lane: a ray meets the plane where its parameter
+    /// times the sum of the products with [`Self::normals`] is this.
+    #[inline(always)]
+    pub fn volume(&self) -> &[f32; LANES] {
+        &self.volume
+    }
+
+    /// Bound on the error of [`Self::volume`].
+    #[inline(always)]
+    pub fn volume_error(&self) -> &[f32; LANES] {
+        &self.volume_error
+    }
+
     /// One bit for each triangle.
     #[inline(always)]
     pub fn used(&self) -> u32 {
