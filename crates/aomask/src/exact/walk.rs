@@ -158,12 +158,9 @@ impl Walk {
             if groups == 0 {
                 continue;
             }
-            let (mut groups, mut rays) = (groups, 0);
-            if groups.count_ones() <= FEW {
-                (groups, rays) = self.rays_of_groups(kernel, &rows, child, groups);
-                if rays == 0 {
-                    continue;
-                }
+            let (groups, rays) = self.rays_of_groups(kernel, &rows, child, groups);
+            if groups | rays == 0 {
+                continue;
             }
             let top = self.top;
             self.stack.children[top] = node.children()[child];
@@ -172,7 +169,8 @@ impl Walk {
         }
     }
 
-    /// The numbers of few groups, and their rays that may enter a child.
+    /// Groups with a ray that may enter a child, as an entry has them: a bit each and no rays if they are many, or numbers and
+    /// rays.
     #[inline(always)]
     fn rays_of_groups<K: Kernel>(
         &self,
@@ -181,13 +179,23 @@ impl Walk {
         child: usize,
         mut groups: u32,
     ) -> (u32, u32) {
-        let (mut ids, mut rays, mut shift) = (0, 0, 0);
+        let mut entered = [0; GROUPS];
+        let mut kept = 0;
         while groups != 0 {
-            let group = groups.trailing_zeros();
+            let group = groups.trailing_zeros() as usize % GROUPS;
             groups &= groups - 1;
-            let entered = kernel.box_rays(rows, child, &self.rays, group as usize);
+            entered[group] = kernel.box_rays(rows, child, &self.rays, group) & !u32::from(self.done[group]);
+            kept |= u32::from(entered[group] != 0) << group;
+        }
+        if kept.count_ones() > FEW {
+            return (kept, 0);
+        }
+        let (mut ids, mut rays, mut shift) = (0, 0, 0);
+        while kept != 0 {
+            let group = kept.trailing_zeros();
+            kept &= kept - 1;
             ids |= group << shift;
-            rays |= (entered & !u32::from(self.done[group as usize % GROUPS])) << shift;
+            rays |= entered[group as usize % GROUPS] << shift;
             shift += 8;
         }
         (ids, rays)
