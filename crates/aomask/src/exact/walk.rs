@@ -158,7 +158,14 @@ impl Walk {
             if groups == 0 {
                 continue;
             }
-            let (groups, rays) = self.rays_of_groups(kernel, &rows, child, groups);
+            // All rays enter a box around the receiver.
+            let around =
+                (0..3).all(|axis| rows.0[2 * axis][child] <= 0.0 && rows.0[2 * axis + 1][child] >= 0.0);
+            let (groups, rays) = if around && groups.count_ones() > FEW {
+                (groups, 0)
+            } else {
+                self.rays_of_groups(kernel, &rows, child, groups)
+            };
             if groups | rays == 0 {
                 continue;
             }

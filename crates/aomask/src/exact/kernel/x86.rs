@@ -192,23 +192,51 @@ fn ray_boxes(rows: &Rows, rays: &RaySet, ray: usize) -> __m256 {
     _mm256_cmp_ps::<_CMP_LE_OQ>(entry, widened(exit))
 }
 
-/// For each set of lanes their numbers, highest first.
-static PACKED: [[u8; LANES]; 256] = {
-    let mut packed = [[0; LANES]; 256];
-    let mut mask = 0;
-    while mask < 256 {
-        let (mut lane, mut at) = (LANES, 0);
-        while lane > 0 {
-            lane -= 1;
-            if mask >> lane & 1 == 1 {
-                packed[mask][at] = lane as u8;
-                at += 1;
-            }
-        }
-        mask += 1;
+/// Which lane each lane is compared with in the steps of a sorting network, and which lanes take the larger number.
+const NETWORK: [([i32; LANES], u8); 6] = [
+    ([2, 3, 0, 1, 6, 7, 4, 5], 0b0011_0011),
+    ([4, 5, 6, 7, 0, 1, 2, 3], 0b0000_1111),
+    ([1, 0, 3, 2, 5, 4, 7, 6], 0b0101_0101),
+    ([0, 1, 4, 5, 2, 3, 6, 7], 0b0000_1100),
+    ([0, 4, 2, 6, 1, 5, 3, 7], 0b0000_1010),
+    ([0, 2, 1, 4, 3, 6, 5, 7], 0b0010_1010),
+];
+
+/// Sorts from largest to smallest.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn sorted(mut keys: __m256i) -> __m256i {
+    macro_rules! step {
+        ($i:literal) => {{
+            let [a, b, c, d, e, f, g, h] = NETWORK[$i].0;
+            let other = _mm256_permutevar8x32_epi32(keys, _mm256_setr_epi32(a, b, c, d, e, f, g, h));
+            const LARGER: i32 = NETWORK[$i].1 as i32;
+            let (least, most) = (_mm256_min_epi32(keys, other), _mm256_max_epi32(keys, other));
+            keys = _mm256_blend_epi32::<LARGER>(least, most);
+        }};
     }
-    packed
-};
+    step!(0);
+    step!(1);
+    step!(2);
+    step!(3);
+    step!(4);
+    step!(5);
+    keys
+}
+
+/// Squared distances of the boxes.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn gaps(rows: &Rows) -> __m256 {
+    let mut gap2 = _mm256_setzero_ps();
+    for axis in 0..3 {
+        let (low, high) = (load(&rows.0[2 * axis]), load(&rows.0[2 * axis + 1]));
+        let gap = _mm256_max_ps(low, _mm256_xor_ps(high, _mm256_set1_ps(-0.0)));
+        let gap = _mm256_max_ps(gap, _mm256_setzero_ps());
+        gap2 = _mm256_fmadd_ps(gap, gap, gap2);
+    }
+    gap2
+}
 
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,popcnt")]
@@ -233,9 +261,14 @@ fn push_rays(
     let missed = _mm256_cmpeq_epi32(columns, _mm256_setzero_si256());
     let mask = !(_mm256_movemask_ps(_mm256_castsi256_ps(missed)) as u32) & wanted % 256;
     assert!(top + LANES <= stack.rays.len(), "the tree has no more levels than the stack");
-    // SAFETY: rows of the table are eight bytes; eight entries from `top` are in the stack.
+    // Farthest first, by the upper bits of the distance; lanes that aren't wanted last.
+    let numbers = _mm256_setr_epi32(8, 9, 10, 11, 12, 13, 14, 15);
+    let distance = _mm256_and_si256(_mm256_castps_si256(gaps(rows)), _mm256_set1_epi32(!15));
+    let bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+    let taken = _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32(mask as i32), bits), bits);
+    let order = sorted(_mm256_and_si256(_mm256_or_si256(distance, numbers), taken));
+    // SAFETY: eight entries from `top` are in the stack.
     unsafe {
-        let order = _mm256_cvtepu8_epi32(_mm_loadl_epi64(PACKED[mask as usize].as_ptr().cast()));
         let children = _mm256_loadu_si256(children.as_ptr().cast());
         let children = _mm256_permutevar8x32_epi32(children, order);
         let columns = _mm256_permutevar8x32_epi32(columns, order);
