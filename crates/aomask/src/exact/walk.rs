@@ -4,7 +4,7 @@
 //! than four groups are left, for single rays. Not here: the tests (`kernel`), what a hit means ([`Goal`]).
 
 use super::{
-    kernel::{Hull, Kernel, LANES, LeafRows, Stack, ray_of},
+    kernel::{Hull, Kernel, LANES, LeafRows, Rows, Stack, ray_of},
     rays::{GROUP, GROUPS, RaySet},
 };
 use umbrage_accel::{Bvh, View};
@@ -161,51 +161,50 @@ impl Walk {
             // All rays enter a box around the receiver.
             let around =
                 (0..3).all(|axis| rows.0[2 * axis][child] <= 0.0 && rows.0[2 * axis + 1][child] >= 0.0);
-            let (groups, rays) = if around && groups.count_ones() > FEW {
-                (groups, 0)
+            if around && groups.count_ones() > FEW {
+                self.push(node.children()[child], groups, 0);
             } else {
-                self.rays_of_groups(kernel, &rows, child, groups)
-            };
-            if groups | rays == 0 {
-                continue;
+                self.narrow(kernel, &rows, child, node.children()[child], groups);
             }
-            let top = self.top;
-            self.stack.children[top] = node.children()[child];
-            (self.stack.groups[top], self.stack.rays[top]) = (groups, rays);
-            self.top += 1;
         }
     }
 
-    /// Groups with a ray that may enter a child, as an entry has them: a bit each and no rays if they are many, or numbers and
-    /// rays.
     #[inline(always)]
-    fn rays_of_groups<K: Kernel>(
-        &self,
-        kernel: K,
-        rows: &super::kernel::Rows,
-        child: usize,
-        mut groups: u32,
-    ) -> (u32, u32) {
+    fn push(&mut self, child: u32, groups: u32, rays: u32) {
+        let top = self.top;
+        (self.stack.children[top], self.stack.groups[top], self.stack.rays[top]) = (child, groups, rays);
+        self.top += 1;
+    }
+
+    /// Pushes the child in slot `slot` with those of the `groups` that have a ray that may enter it: as groups if they have
+    /// many rays, else as rays, [`FEW`] groups at a time.
+    #[inline(always)]
+    fn narrow<K: Kernel>(&mut self, kernel: K, rows: &Rows, slot: usize, child: u32, mut groups: u32) {
         let mut entered = [0; GROUPS];
-        let mut kept = 0;
+        let (mut kept, mut count) = (0u32, 0);
         while groups != 0 {
             let group = groups.trailing_zeros() as usize % GROUPS;
             groups &= groups - 1;
-            entered[group] = kernel.box_rays(rows, child, &self.rays, group) & !u32::from(self.done[group]);
+            entered[group] = kernel.box_rays(rows, slot, &self.rays, group) & !u32::from(self.done[group]);
             kept |= u32::from(entered[group] != 0) << group;
+            count += entered[group].count_ones();
         }
-        if kept.count_ones() > FEW {
-            return (kept, 0);
+        // About where testing rays one by one gets cheaper than a test of each group and child.
+        if kept.count_ones() > FEW && count > 12 + 5 * kept.count_ones() / 2 {
+            return self.push(child, kept, 0);
         }
-        let (mut ids, mut rays, mut shift) = (0, 0, 0);
         while kept != 0 {
-            let group = kept.trailing_zeros();
-            kept &= kept - 1;
-            ids |= group << shift;
-            rays |= entered[group as usize % GROUPS] << shift;
-            shift += 8;
+            let (mut ids, mut rays) = (0, 0);
+            for i in 0..FEW {
+                // Beyond the last group the number is that of some group, and there are no rays.
+                let group = kept.trailing_zeros() % GROUPS as u32;
+                let left = if kept != 0 { entered[group as usize] } else { 0 };
+                ids |= group << (8 * i);
+                rays |= left << (8 * i);
+                kept &= kept.wrapping_sub(1);
+            }
+            self.push(child, ids, rays);
         }
-        (ids, rays)
     }
 
     #[inline(always)]

@@ -15,8 +15,9 @@ use umbrage_geom::kernel::{BlockMask, TriangleBlock, fan};
 /// Children of a node, triangles of a leaf, rays of a group.
 pub(crate) const LANES: usize = 8;
 
-/// Entries of [`Stack`]: the most that a walk can push, and room for writing a whole node at once.
-const STACK: usize = (LANES - 1) * View::MAX_LEVELS + 1 + LANES;
+/// Entries of [`Stack`]: the most that a walk can push, every child once for each four groups, and room for writing a whole
+/// node at once.
+const STACK: usize = (LANES - 1) * View::MAX_LEVELS * (super::rays::GROUPS / 4) + 2 * LANES;
 
 /// What the end of an interval is multiplied by: a box coordinate, a reciprocal and their product carry one rounding each, on
 /// either side.
