@@ -143,8 +143,9 @@ impl TriangleBlock {
                 *height += x * up[axis] + x.abs() * ABOVE_SLOPE;
             }
         }
-        let above =
-            |lane: usize| self.corners.iter().any(|row| !(heights[usize::from(row[lane]) % LANES] < 0.0));
+        // NaN counts as above.
+        let below = |row: &[u8; LANES], lane: usize| heights[usize::from(row[lane]) % LANES] < 0.0;
+        let above = |lane: usize| self.corners.iter().any(|row| !below(row, lane));
         (0..self.len()).fold(0, |mask, lane| mask | u8::from(above(lane)) << lane)
     }
 

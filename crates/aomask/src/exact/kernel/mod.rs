@@ -23,6 +23,9 @@ const STACK: usize = (LANES - 1) * View::MAX_LEVELS * (super::rays::GROUPS / 4) 
 /// either side.
 pub(crate) const WIDEN: f32 = 1.0 + 16.0 / (1u32 << 24) as f32;
 
+/// Added to squared lengths, so that they stay bounds where squares vanish.
+pub(crate) const TINY: f32 = 1e-30;
+
 /// Children to visit.
 pub(crate) struct Stack {
     /// References as in [`NodeView::children`].

@@ -27,6 +27,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+#[allow(clippy::neg_cmp_op_on_partial_ord)] // NaN has to count as met
 impl Kernel for Scalar {
     type Planes = Planes;
 
@@ -124,7 +125,7 @@ impl Kernel for Scalar {
         for (row, normal) in lengths.iter_mut().zip(planes.normals()) {
             for (lane, length) in row.iter_mut().enumerate() {
                 let n = normal.map(|row| row[lane]);
-                *length = dot(n, n).sqrt();
+                *length = (dot(n, n) + super::TINY).sqrt();
             }
         }
         LeafRows { planes: *planes, lengths }
@@ -142,7 +143,8 @@ impl Kernel for Scalar {
         let LeafRows { planes, .. } = rows;
         (0..LANES).fold(0, |mask, lane| {
             let sum = [0, 1, 2].map(|axis| planes.normals().iter().map(|n| n[axis][lane]).sum::<f32>());
-            let reach = hull.radius * (dot(sum, sum).sqrt() * (1.0 + 1e-5) + 8.0 * planes.error()[lane]);
+            let reach = hull.radius
+                * ((dot(sum, sum) + super::TINY).sqrt() * (1.0 + 1e-5) + 8.0 * planes.error()[lane]);
             let height = planes.volume()[lane].abs() - planes.volume_error()[lane];
             // NaN counts as near.
             mask | u32::from(!(height > reach)) << lane

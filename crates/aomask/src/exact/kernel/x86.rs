@@ -2,7 +2,7 @@
 //! registers and comparisons into mask registers.
 #![allow(unsafe_code)]
 
-use super::{Hull, Job, Kernel, LANES, LeafRows, Rows, Spheres, Stack, WIDEN, ray_of, scalar::Scalar};
+use super::{Hull, Job, Kernel, LANES, LeafRows, Rows, Spheres, Stack, TINY, WIDEN, ray_of, scalar::Scalar};
 use crate::exact::rays::{GROUP, GROUPS, RAYS, RaySet};
 use std::arch::x86_64::*;
 use umbrage_accel::NodeView;
@@ -240,6 +240,7 @@ fn gaps(rows: &Rows) -> __m256 {
 
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,popcnt")]
+#[allow(clippy::too_many_arguments)] // the state of one loop
 fn push_rays(
     children: &[u32; LANES],
     rows: &Rows,
@@ -259,7 +260,7 @@ fn push_rays(
         columns = _mm256_or_si256(columns, _mm256_and_si256(entered, bit));
     }
     let missed = _mm256_cmpeq_epi32(columns, _mm256_setzero_si256());
-    let mask = !(_mm256_movemask_ps(_mm256_castsi256_ps(missed)) as u32) & wanted % 256;
+    let mask = !(_mm256_movemask_ps(_mm256_castsi256_ps(missed)) as u32) & (wanted % 256);
     assert!(top + LANES <= stack.rays.len(), "the tree has no more levels than the stack");
     // Farthest first, by the upper bits of the distance; lanes that aren't wanted last.
     let numbers = _mm256_setr_epi32(8, 9, 10, 11, 12, 13, 14, 15);
@@ -285,7 +286,8 @@ fn lengths(planes: &fan::scalar::Planes) -> [[f32; LANES]; 3] {
     let mut lengths = [[0.0; LANES]; 3];
     for (row, [x, y, z]) in lengths.iter_mut().zip(planes.normals()) {
         let (x, y, z) = (load(x), load(y), load(z));
-        let square = _mm256_fmadd_ps(x, x, _mm256_fmadd_ps(y, y, _mm256_mul_ps(z, z)));
+        let square =
+            _mm256_fmadd_ps(x, x, _mm256_fmadd_ps(y, y, _mm256_fmadd_ps(z, z, _mm256_set1_ps(TINY))));
         store(row, _mm256_sqrt_ps(square));
     }
     lengths
@@ -296,7 +298,7 @@ fn lengths(planes: &fan::scalar::Planes) -> [[f32; LANES]; 3] {
 fn near(rows: &LeafRows, hull: &Hull) -> u32 {
     let planes = &rows.planes;
     let [a, b, c] = planes.normals();
-    let mut square = _mm256_setzero_ps();
+    let mut square = _mm256_set1_ps(TINY);
     for axis in 0..3 {
         let sum = _mm256_add_ps(_mm256_add_ps(load(&a[axis]), load(&b[axis])), load(&c[axis]));
         square = _mm256_fmadd_ps(sum, sum, square);
