@@ -35,7 +35,20 @@ pub fn rows(
     for tables in [&circle, &silhouette] {
         entries.push(tables.entry(case, workload)?);
     }
+    entries.extend(super::exact::entries(case, workload)?);
     entries.extend(case.peers.iter().flat_map(|peer| peer.any_hit(&workload.rays)));
+    rows_of(entries, case, workload, passes, output, extra)
+}
+
+/// Rows of the fastest of `entries` of each method.
+pub fn rows_of(
+    entries: Vec<Box<dyn Entry<bool> + '_>>,
+    case: &Case,
+    workload: &Workload,
+    passes: usize,
+    output: &mut Output,
+    extra: impl Fn(&str) -> Value,
+) -> Result<()> {
     let best = fastest(measure(entries, HEATS));
     let best = measure(best.into_iter().map(|m| m.entry).collect(), passes);
     let of_method = |name: &str| best.iter().find(|m| m.entry.method() == name);

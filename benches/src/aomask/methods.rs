@@ -11,7 +11,7 @@ use umbrage_aomask::{MaskTables, NodeMasks, Outputs, Receiver, TableOptions};
 use umbrage_geom::sampling::combine;
 
 /// Masks of all receivers as answers of single rays.
-fn bits(masks: &[u64], words: usize, rays: usize) -> Vec<bool> {
+pub fn bits(masks: &[u64], words: usize, rays: usize) -> Vec<bool> {
     masks.chunks(words).flat_map(|mask| (0..rays).map(|i| mask[i / 64] >> (i % 64) & 1 == 1)).collect()
 }
 

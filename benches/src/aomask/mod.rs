@@ -5,6 +5,7 @@
 //! (`measure.rs`).
 
 mod camera;
+mod exact;
 mod figures;
 mod measure;
 mod methods;
@@ -41,7 +42,7 @@ pub struct Options {
 }
 
 /// Parts of the suite.
-pub const PARTS: [&str; 6] = ["targets", "table1", "table2", "figure5", "figure6", "figure7"];
+pub const PARTS: [&str; 7] = ["targets", "mask", "table1", "table2", "figure5", "figure6", "figure7"];
 
 /// Numbers of rays and radii, as fractions of the diagonal, of the targets.
 const TARGET_RAYS: [u32; 3] = [128, 256, 1024];
@@ -109,6 +110,10 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
         if wanted("targets") {
             targets(&case, options, output)?;
         }
+        // The rows of `mask` in `targets` once more: only when asked for.
+        if options.part.as_deref() == Some("mask") {
+            exact(&case, options, output)?;
+        }
         if wanted("table1") {
             table1(&case, options, output)?;
         }
@@ -141,6 +146,21 @@ fn targets(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
             let points = workload::surface(&case.mesh, rays, options.quick);
             let workload = Workload::new(points, &pattern, (radius * diagonal) as f32, params);
             measure::rows(case, &workload, passes(options), output, |_| json!({}))?;
+        }
+    }
+    Ok(())
+}
+
+/// The grid of the targets with method `mask` alone.
+fn exact(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
+    let diagonal = f64::from(case.mesh.bounds().diagonal());
+    for rays in TARGET_RAYS {
+        let pattern = Pattern::new(&PatternOptions::default().with_rays(rays))?;
+        for radius in TARGET_RADII {
+            let params = json!({ "part": "mask", "rays": rays, "radius": radius });
+            let points = workload::surface(&case.mesh, rays, options.quick);
+            let workload = Workload::new(points, &pattern, (radius * diagonal) as f32, params);
+            exact::rows(case, &workload, passes(options), output)?;
         }
     }
     Ok(())

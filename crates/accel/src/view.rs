@@ -59,6 +59,12 @@ impl<'a> View<'a> {
     /// Most nodes on a way from the root to a leaf.
     pub const MAX_LEVELS: usize = crate::node::MAX_LEVELS;
 
+    /// Marks references to leaves in [`NodeView::children`]; the other bits are the index of a leaf or node.
+    pub const LEAF: u32 = LEAF;
+
+    /// Size of a node and of a leaf.
+    pub const CHILD_BYTES: usize = size_of::<Node>();
+
     /// Number of nodes, at least 1.
     #[inline]
     pub fn node_count(self) -> usize {
@@ -89,6 +95,16 @@ impl<'a> View<'a> {
         &self.blocks[index as usize]
     }
 
+    /// Where `child`, as in [`NodeView::children`], lies, for prefetching [`Self::CHILD_BYTES`]; not to be read through, and
+    /// not in memory at all for what is no child.
+    #[inline(always)]
+    pub fn address(self, child: u32) -> *const u8 {
+        let index = (child & !LEAF) as usize;
+        let node = self.nodes.as_ptr().wrapping_add(index).cast::<u8>();
+        let block = self.blocks.as_ptr().wrapping_add(index).cast::<u8>();
+        if child & LEAF != 0 { block } else { node }
+    }
+
     /// Index of each lane's triangle in the caller's array.
     ///
     /// # Panics
@@ -106,6 +122,30 @@ impl<'a> NodeView<'a> {
     #[inline(always)]
     pub fn bounds(self) -> [[f32; WIDTH]; 6] {
         [0, 1, 2, 3, 4, 5].map(|row| self.0.row(row))
+    }
+
+    /// [`Self::bounds`] as numbers of planes: plane `n` of an axis is at `base + n * step`, the product being exact.
+    #[inline(always)]
+    pub fn grid(self) -> &'a [[u8; WIDTH]; 6] {
+        &self.0.grid
+    }
+
+    /// Plane 0 of each axis.
+    #[inline(always)]
+    pub fn base(self) -> [f32; 3] {
+        self.0.base
+    }
+
+    /// Way from plane to plane on each axis.
+    #[inline(always)]
+    pub fn step(self) -> [f32; 3] {
+        self.0.step
+    }
+
+    /// References to what the slots hold, marked by [`View::LEAF`]; of no meaning in empty slots.
+    #[inline(always)]
+    pub fn children(self) -> &'a [u32; WIDTH] {
+        &self.0.children
     }
 
     /// One bit for each slot in use.

@@ -94,7 +94,7 @@ fn blocks<E: Engine>(
         block.extend(order.iter().map(|&i| receivers[i as usize]));
         engine.masks(block, masks, scratch);
         progress.advance(1)?;
-        Ok(())
+        Ok::<(), MaskError>(())
     };
     let room = || (engine.scratch(), Vec::with_capacity(BLOCK));
     #[cfg(feature = "rayon")]

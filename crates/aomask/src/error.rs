@@ -55,6 +55,28 @@ pub enum MaskError {
         /// How many receivers there are.
         points: usize,
     },
+    /// Rays can't be cut into fans of that size.
+    #[error("{rays} rays in fans of {per_fan}: a fan has 1 to 1024 rays, and no ray may be left over")]
+    Fan {
+        /// Rays of a fan.
+        per_fan: usize,
+        /// All rays.
+        rays: usize,
+    },
+    /// The rays of a fan have different origins.
+    #[error("the rays of fan {fan} don't share an origin")]
+    FanOrigin {
+        /// Index of the fan, from 0.
+        fan: usize,
+    },
+    /// There are not as many answers as rays.
+    #[error("{answers} answers for {rays} rays")]
+    Answers {
+        /// Length of the slice of answers.
+        answers: usize,
+        /// Number of rays.
+        rays: usize,
+    },
     /// A receiver point is NaN, infinite or farther out than geometry may be.
     #[error("receiver point {index} is not usable: ({}, {}, {})", .point[0], .point[1], .point[2])]
     Point {

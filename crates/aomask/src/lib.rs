@@ -3,6 +3,7 @@
 
 mod drive;
 mod error;
+pub mod exact;
 mod kernel;
 mod options;
 pub mod pattern;

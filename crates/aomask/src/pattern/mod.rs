@@ -147,6 +147,11 @@ impl Pattern {
         self.len().div_ceil(64)
     }
 
+    /// Where the order splits a run of `n` rays, from the whole pattern down.
+    pub(crate) fn half(n: usize) -> usize {
+        if n > UNIT { (n / UNIT).div_ceil(2) * UNIT } else { n / 2 }
+    }
+
     /// Unit directions, z along the normal.
     #[inline]
     pub fn directions(&self) -> &[Vec3] {
@@ -200,7 +205,7 @@ fn split(directions: &mut [Vec3]) {
     let high = directions.iter().copied().reduce(Vec3::max).unwrap_or_default();
     let axis = (high - low).max_position();
     directions.sort_by(|a, b| a[axis].total_cmp(&b[axis]));
-    let half = if n > UNIT { (n / UNIT).div_ceil(2) * UNIT } else { n / 2 };
+    let half = Pattern::half(n);
     let (left, right) = directions.split_at_mut(half);
     split(left);
     split(right);

@@ -47,6 +47,8 @@ const SHEAR_ERROR: f32 = 4.0 / (1u32 << 24) as f32;
 const DEPTH_ERROR: f32 = 8.0 / (1u32 << 24) as f32;
 /// More than all underflow in a depth comparison: `2^-100`.
 const DEPTH_UNDERFLOW: f32 = f32::MIN_POSITIVE * (1u32 << 26) as f32;
+/// Slope below which [`TriangleBlock::above`] trusts no sign.
+const ABOVE_SLOPE: f32 = 1e-5;
 /// Size of `M` from which nothing is certain: `2^40`.
 const LARGEST: f32 = (1u64 << 40) as f32;
 
@@ -152,6 +154,23 @@ impl TriangleBlock {
             let vertex = usize::from(corner[lane]) % LANES;
             [self.vertices[0][vertex], self.vertices[1][vertex], self.vertices[2][vertex]]
         })
+    }
+
+    /// Triangles with a corner that is not for certain below the plane through `origin` across `up`, a vector of at most unit
+    /// length; one bit each. Corners within a slope of 1e-5 of the plane count as above.
+    #[inline]
+    pub fn above(&self, origin: [f32; 3], up: [f32; 3]) -> u8 {
+        let mut heights = [0f32; LANES];
+        for axis in 0..3 {
+            for (height, &x) in heights.iter_mut().zip(&self.vertices[axis]) {
+                let x = x - origin[axis];
+                *height += x * up[axis] + x.abs() * ABOVE_SLOPE;
+            }
+        }
+        // NaN counts as above.
+        let below = |row: &[u8; LANES], lane: usize| heights[usize::from(row[lane]) % LANES] < 0.0;
+        let above = |lane: usize| self.corners.iter().any(|row| !below(row, lane));
+        (0..self.len()).fold(0, |mask, lane| mask | u8::from(above(lane)) << lane)
     }
 
     /// All corners by corner, axis, lane; NaN in unused lanes.

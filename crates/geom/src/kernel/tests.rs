@@ -37,12 +37,48 @@ fn check(vertices: &[[f32; 3]], triangles: &[[u8; 3]], ray: &Ray) -> Result<(), 
     let mut rays = FanRays::<CHUNK>::default();
     if rays.prepare(0, &[*ray]) == 1 {
         let (origin, d) = (ray.origin.to_array(), rays.direction.map(|row| row[0]));
-        let mask = fan::scalar::Planes::new(&block, origin).filter(d, rays.near[0], rays.far[0]);
+        let planes = fan::scalar::Planes::new(&block, origin);
+        let mask = planes.filter(d, rays.near[0], rays.far[0]);
         check_mask(&block, ray, triangles.len(), mask, "fan scalar")?;
+        let transposed = |filter: &dyn Fn(usize) -> BlockMask| {
+            let mut mask = BlockMask::default();
+            for lane in 0..triangles.len() {
+                let BlockMask { certain, uncertain } = filter(lane);
+                // The ray is in all eight places.
+                assert!([0, 255].contains(&certain) && [0, 255].contains(&uncertain));
+                mask.certain |= (certain & 1) << lane;
+                mask.uncertain |= (uncertain & 1) << lane;
+            }
+            mask
+        };
+        let (rows, far) = (d.map(|x| [x; LANES]), [rays.far[0]; LANES]);
+        let rows = [&rows[0], &rows[1], &rows[2]];
+        if ray.tnear == 0.0 {
+            let mask = transposed(&|lane| planes.filter_rays(lane, rows, &far));
+            check_mask(&block, ray, triangles.len(), mask, "rays scalar")?;
+        }
+        let (front, back) = planes.sides();
+        for lane in 0..triangles.len() {
+            if let Some(hit) =
+                crate::intersect_triangle(&Ray { tnear: 0.0, tfar: f32::INFINITY, ..*ray }, block.get(lane))
+            {
+                prop_assert_eq!(
+                    (if hit.front { back } else { front }) >> lane & 1,
+                    0,
+                    "side of lane {}",
+                    lane
+                );
+            }
+        }
         #[cfg(target_arch = "x86_64")]
         if let Some(avx2) = x86::Avx2::detect() {
             let mask = avx2.fan_filter(&avx2.planes(&block, origin), d, rays.near[0], rays.far[0]);
             check_mask(&block, ray, triangles.len(), mask, "fan avx2")?;
+            if ray.tnear == 0.0 {
+                let planes = avx2.store_planes(&avx2.planes(&block, origin));
+                let mask = transposed(&|lane| avx2.fan_rays(&planes, lane, rows, &far));
+                check_mask(&block, ray, triangles.len(), mask, "rays avx2")?;
+            }
         }
     }
     Ok(())

@@ -1,7 +1,8 @@
 //! The filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, Lanes, SHEAR_ERROR, TriangleBlock,
+    ABOVE_SLOPE, BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, Lanes, SHEAR_ERROR,
+    TriangleBlock,
 };
 use std::arch::x86_64::*;
 
@@ -18,6 +19,13 @@ impl Avx2 {
             && is_x86_feature_detected!("lzcnt")
             && is_x86_feature_detected!("popcnt");
         all.then_some(Self(()))
+    }
+
+    /// As [`TriangleBlock::above`], up to rounding.
+    #[inline(always)]
+    pub fn above(self, block: &TriangleBlock, origin: [f32; 3], up: [f32; 3]) -> u8 {
+        // SAFETY: `self` proves the target features.
+        unsafe { above(block, origin, up) }
     }
 
     /// Filters a block; see the [module](super).
@@ -42,6 +50,29 @@ pub(super) fn corner(block: &TriangleBlock, corner: usize, axis: usize) -> __m25
         )
     };
     _mm256_permutevar8x32_ps(vertices, _mm256_cvtepu8_epi32(lanes))
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn above(block: &TriangleBlock, origin: [f32; 3], up: [f32; 3]) -> u8 {
+    let mut heights = _mm256_setzero_ps();
+    for axis in 0..3 {
+        // SAFETY: a row of eight floats, aligned as the block is.
+        let row = unsafe { _mm256_load_ps(block.vertices[axis].as_ptr()) };
+        let x = _mm256_sub_ps(row, _mm256_set1_ps(origin[axis]));
+        heights = _mm256_fmadd_ps(x, _mm256_set1_ps(up[axis]), heights);
+        let size = _mm256_andnot_ps(_mm256_set1_ps(-0.0), x);
+        heights = _mm256_fmadd_ps(size, _mm256_set1_ps(ABOVE_SLOPE), heights);
+    }
+    // Lanes of all ones where the vertex is below.
+    let below = _mm256_cmp_ps::<_CMP_LT_OQ>(heights, _mm256_setzero_ps());
+    let of = |corner: usize| {
+        // SAFETY: a row of eight bytes.
+        let lanes = unsafe { _mm_loadl_epi64(block.corners[corner].as_ptr().cast()) };
+        _mm256_permutevar8x32_ps(below, _mm256_cvtepu8_epi32(lanes))
+    };
+    let all = _mm256_and_ps(_mm256_and_ps(of(0), of(1)), of(2));
+    block.used() & !(_mm256_movemask_ps(all) as u8)
 }
 
 /// `A'.x`, `A'.y`, `A.z'` of one corner.

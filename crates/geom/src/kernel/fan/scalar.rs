@@ -7,18 +7,19 @@ use super::{
 
 /// A block of triangles seen from one origin.
 #[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
 pub struct Planes {
     /// Normals of the three edges' planes, by axis, lane.
-    normals: [[[f32; LANES]; 3]; 3],
+    pub(super) normals: [[[f32; LANES]; 3]; 3],
     /// `E`; infinite where nothing is certain.
-    error: [f32; LANES],
+    pub(super) error: [f32; LANES],
     /// `T`.
-    volume: [f32; LANES],
-    volume_error: [f32; LANES],
+    pub(super) volume: [f32; LANES],
+    pub(super) volume_error: [f32; LANES],
     /// No hit is further.
-    reach: [f32; LANES],
+    pub(super) reach: [f32; LANES],
     /// Triangles.
-    used: usize,
+    pub(super) used: usize,
 }
 
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
@@ -34,18 +35,15 @@ fn largest(vectors: [[f32; 3]; 3]) -> f32 {
 }
 
 impl Planes {
+    pub(super) const EMPTY: Self = {
+        let row = [0.0; LANES];
+        Self { normals: [[row; 3]; 3], error: row, volume: row, volume_error: row, reach: row, used: 0 }
+    };
+
     /// Looks at `block` from the finite point `origin`.
     #[inline]
     pub fn new(block: &TriangleBlock, origin: [f32; 3]) -> Self {
-        let row = [0.0; LANES];
-        let mut this = Self {
-            normals: [[row; 3]; 3],
-            error: row,
-            volume: row,
-            volume_error: row,
-            reach: row,
-            used: block.len(),
-        };
+        let mut this = Self { used: block.len(), ..Self::EMPTY };
         for lane in 0..LANES {
             let corners = block.get(lane);
             let minus = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
@@ -80,6 +78,67 @@ impl Planes {
             }
         }
         mask
+    }
+
+    /// Filters the triangle in `lane` for eight prepared rays from the same origin that start there (`tnear` 0): one bit a
+    /// ray.
+    #[inline]
+    pub fn filter_rays(&self, lane: usize, direction: [&[f32; LANES]; 3], far: &[f32; LANES]) -> BlockMask {
+        let mut mask = BlockMask::default();
+        for (i, &far) in far.iter().enumerate() {
+            match self.hit(lane, direction.map(|row| row[i]), 0.0, far) {
+                Some(true) => mask.certain |= 1 << i,
+                Some(false) => {}
+                None => mask.uncertain |= 1 << i,
+            }
+        }
+        mask
+    }
+
+    /// Normals of the planes through the origin and the edges, by edge, axis, lane: the direction `d` passes inside edge
+    /// `k` of a triangle if all `d . normal` have one sign.
+    #[inline(always)]
+    pub fn normals(&self) -> &[[[f32; LANES]; 3]; 3] {
+        &self.normals
+    }
+
+    /// Bound on the error of those products, by lane, for directions whose sizes of components add up to at most 1.
+    #[inline(always)]
+    pub fn error(&self) -> &[f32; LANES] {
+        &self.error
+    }
+
+    /// Six times the signed volume between the origin and each triangle, by lane: a ray meets the plane where its parameter
+    /// times the sum of the products with [`Self::normals`] is this.
+    #[inline(always)]
+    pub fn volume(&self) -> &[f32; LANES] {
+        &self.volume
+    }
+
+    /// Bound on the error of [`Self::volume`].
+    #[inline(always)]
+    pub fn volume_error(&self) -> &[f32; LANES] {
+        &self.volume_error
+    }
+
+    /// One bit for each triangle.
+    #[inline(always)]
+    pub fn used(&self) -> u32 {
+        (1 << self.used) - 1
+    }
+
+    /// Triangles of which the origin is for certain on the front side, and on the back side, one bit each.
+    #[inline(always)]
+    pub fn sides(&self) -> (u32, u32) {
+        let (mut front, mut back) = (0, 0);
+        for lane in 0..LANES {
+            // NaN is neither.
+            let (volume, error) = (self.volume[lane], self.volume_error[lane]);
+            let sane = self.error[lane] < f32::INFINITY;
+            front |= u32::from(sane && volume > error) << lane;
+            back |= u32::from(sane && volume < -error) << lane;
+        }
+        (front & self.used(), back & self.used())
     }
 
     fn hit(&self, lane: usize, direction: [f32; 3], near: f32, far: f32) -> Option<bool> {

@@ -2,10 +2,10 @@
 
 use super::{
     super::{
-        BlockMask, DEPTH_UNDERFLOW, LARGEST, TriangleBlock,
+        BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, TriangleBlock,
         x86::{Avx2, corner},
     },
-    DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR,
+    DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR, scalar,
 };
 use std::arch::x86_64::*;
 
@@ -75,22 +75,32 @@ fn planes(block: &TriangleBlock, origin: [f32; 3]) -> Planes {
     }
 }
 
+/// What the filter compares, a triangle or a ray a lane.
+struct Lanes {
+    edges: [__m256; 3],
+    error: __m256,
+    volume: __m256,
+    volume_error: __m256,
+    reach: __m256,
+    near: __m256,
+    far: __m256,
+}
+
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn filter(planes: &Planes, direction: [f32; 3], near: f32, far: f32) -> BlockMask {
-    let d = [_mm256_set1_ps(direction[0]), _mm256_set1_ps(direction[1]), _mm256_set1_ps(direction[2])];
-    let (u, v, w) = (dot(planes.normals[0], d), dot(planes.normals[1], d), dot(planes.normals[2], d));
+fn decide(lanes: &Lanes, used: u8) -> BlockMask {
+    let [u, v, w] = lanes.edges;
     let lowest = _mm256_min_ps(_mm256_min_ps(u, v), w);
     let highest = _mm256_max_ps(_mm256_max_ps(u, v), w);
-    let minus_error = _mm256_xor_ps(planes.error, _mm256_set1_ps(-0.0));
-    let any_positive = _mm256_cmp_ps::<_CMP_GT_OQ>(highest, planes.error);
+    let minus_error = _mm256_xor_ps(lanes.error, _mm256_set1_ps(-0.0));
+    let any_positive = _mm256_cmp_ps::<_CMP_GT_OQ>(highest, lanes.error);
     let any_negative = _mm256_cmp_ps::<_CMP_LT_OQ>(lowest, minus_error);
-    let open = planes.used & !(_mm256_movemask_ps(_mm256_and_ps(any_positive, any_negative)) as u8);
+    let open = used & !(_mm256_movemask_ps(_mm256_and_ps(any_positive, any_negative)) as u8);
     if open == 0 {
         return BlockMask::default();
     }
     // A NaN among the edges, dropped by `min` and `max`, can't be: they are finite where the error is.
-    let all_positive = _mm256_cmp_ps::<_CMP_GT_OQ>(lowest, planes.error);
+    let all_positive = _mm256_cmp_ps::<_CMP_GT_OQ>(lowest, lanes.error);
     let all_negative = _mm256_cmp_ps::<_CMP_LT_OQ>(highest, minus_error);
     let inside = open & _mm256_movemask_ps(_mm256_or_ps(all_positive, all_negative)) as u8;
     if inside == 0 {
@@ -98,26 +108,88 @@ fn filter(planes: &Planes, direction: [f32; 3], near: f32, far: f32) -> BlockMas
     }
     // Edges of one sign: make it positive.
     let flip = _mm256_and_ps(all_negative, _mm256_set1_ps(-0.0));
-    let volume = _mm256_xor_ps(planes.volume, flip);
+    let volume = _mm256_xor_ps(lanes.volume, flip);
     let sum = _mm256_xor_ps(_mm256_add_ps(_mm256_add_ps(u, v), w), flip);
     let relative =
-        _mm256_fmadd_ps(_mm256_set1_ps(3.1), planes.error, _mm256_mul_ps(_mm256_set1_ps(DEPTH_ERROR), sum));
+        _mm256_fmadd_ps(_mm256_set1_ps(3.1), lanes.error, _mm256_mul_ps(_mm256_set1_ps(DEPTH_ERROR), sum));
     // Masks of lanes surely beyond and surely before the depth `z`; NaN is neither.
-    let compare = |z: f32| {
-        let z = _mm256_set1_ps(z);
-        let bound = _mm256_fmadd_ps(z, relative, planes.volume_error);
+    let compare = |z: __m256| {
+        let bound = _mm256_fmadd_ps(z, relative, lanes.volume_error);
         let difference = _mm256_fnmadd_ps(z, sum, volume);
         let beyond = _mm256_cmp_ps::<_CMP_GT_OQ>(difference, bound);
         let before = _mm256_cmp_ps::<_CMP_LT_OQ>(difference, _mm256_xor_ps(bound, _mm256_set1_ps(-0.0)));
         (_mm256_movemask_ps(beyond) as u8, _mm256_movemask_ps(before) as u8)
     };
-    let (after_near, before_near) = compare(near);
-    let clear = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(planes.reach, _mm256_set1_ps(far))) as u8;
-    let (after_far, before_far) = compare(far);
+    let (after_near, before_near) = compare(lanes.near);
+    let clear = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(lanes.reach, lanes.far)) as u8;
+    let (after_far, before_far) = compare(lanes.far);
     let (after_far, before_far) = (after_far & !clear, before_far | clear);
     let missed = inside & (before_near | after_far);
     let certain = inside & after_near & before_far;
     BlockMask { certain, uncertain: open & !certain & !missed }
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn filter(planes: &Planes, direction: [f32; 3], near: f32, far: f32) -> BlockMask {
+    let d = [_mm256_set1_ps(direction[0]), _mm256_set1_ps(direction[1]), _mm256_set1_ps(direction[2])];
+    let lanes = Lanes {
+        edges: [dot(planes.normals[0], d), dot(planes.normals[1], d), dot(planes.normals[2], d)],
+        error: planes.error,
+        volume: planes.volume,
+        volume_error: planes.volume_error,
+        reach: planes.reach,
+        near: _mm256_set1_ps(near),
+        far: _mm256_set1_ps(far),
+    };
+    decide(&lanes, planes.used)
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn filter_rays(
+    planes: &scalar::Planes,
+    lane: usize,
+    direction: [&[f32; LANES]; 3],
+    far: &[f32; LANES],
+) -> BlockMask {
+    let lane = lane % LANES;
+    // SAFETY: rows are eight floats.
+    let load = |row: &[f32; LANES]| unsafe { _mm256_loadu_ps(row.as_ptr()) };
+    let d = [load(direction[0]), load(direction[1]), load(direction[2])];
+    let edge = |k: usize| {
+        let [x, y, z] = &planes.normals[k];
+        dot([_mm256_set1_ps(x[lane]), _mm256_set1_ps(y[lane]), _mm256_set1_ps(z[lane])], d)
+    };
+    let lanes = Lanes {
+        edges: [edge(0), edge(1), edge(2)],
+        error: _mm256_set1_ps(planes.error[lane]),
+        volume: _mm256_set1_ps(planes.volume[lane]),
+        volume_error: _mm256_set1_ps(planes.volume_error[lane]),
+        reach: _mm256_set1_ps(planes.reach[lane]),
+        near: _mm256_setzero_ps(),
+        far: load(far),
+    };
+    decide(&lanes, u8::MAX)
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn store(planes: &Planes) -> scalar::Planes {
+    let mut rows = scalar::Planes::EMPTY;
+    // SAFETY: rows are eight floats.
+    let put = |row: &mut [f32; LANES], x: __m256| unsafe { _mm256_storeu_ps(row.as_mut_ptr(), x) };
+    for k in 0..3 {
+        for axis in 0..3 {
+            put(&mut rows.normals[k][axis], planes.normals[k][axis]);
+        }
+    }
+    put(&mut rows.error, planes.error);
+    put(&mut rows.volume, planes.volume);
+    put(&mut rows.volume_error, planes.volume_error);
+    put(&mut rows.reach, planes.reach);
+    rows.used = planes.used.count_ones() as usize;
+    rows
 }
 
 impl Avx2 {
@@ -137,5 +209,27 @@ impl Avx2 {
     pub fn fan_filter(self, planes: &Planes, direction: [f32; 3], near: f32, far: f32) -> BlockMask {
         // SAFETY: `self` proves the target features.
         unsafe { filter(planes, direction, near, far) }
+    }
+
+    /// The planes a row each, for [`Self::fan_rays`].
+    #[inline(always)]
+    pub fn store_planes(self, planes: &Planes) -> scalar::Planes {
+        // SAFETY: `self` proves the target features.
+        unsafe { store(planes) }
+    }
+
+    /// As [`scalar::Planes::filter_rays`].
+    ///
+    /// Fast only when inlined into a function with these target features.
+    #[inline(always)]
+    pub fn fan_rays(
+        self,
+        planes: &scalar::Planes,
+        lane: usize,
+        direction: [&[f32; LANES]; 3],
+        far: &[f32; LANES],
+    ) -> BlockMask {
+        // SAFETY: `self` proves the target features.
+        unsafe { filter_rays(planes, lane, direction, far) }
     }
 }

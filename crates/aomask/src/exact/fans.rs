@@ -1,0 +1,206 @@
+//! Fans: any rays that share an origin, answered together and exactly.
+//!
+//! Rays to the points of an area light are one use. A fan has up to [`MAX_FAN`] rays; neighbours in a fan should be close in
+//! direction, eight and thirty-two of them best of all: the answers are the same in any order, but a good one is faster.
+
+use super::{
+    TURNS,
+    goal::{Blocked, Dimmed, any_hit},
+    kernel::{self, Hull, Job, Kernel},
+    rays::{Cone, GROUP, RAYS, unit},
+    take_turns,
+    walk::{Goal, Walk},
+};
+use crate::{BackEnd, MaskError, Sides};
+use umbrage_accel::Bvh;
+use umbrage_geom::{OpticalDepth, Ray, glam::Vec3};
+
+/// Most rays of a fan.
+pub const MAX_FAN: usize = 1024;
+
+/// Rays that a thread takes at a time, at least.
+const BLOCK: usize = 1 << 12;
+
+/// Which rays are blocked: `hits[i]` tells of `rays[i]`, exactly as rays cast one by one. Every `per_fan` rays in turn share an
+/// origin. Rays that are not [valid](Ray::is_valid) hit nothing.
+///
+/// # Errors
+/// [`MaskError::Fan`], [`MaskError::FanOrigin`], [`MaskError::Answers`], [`MaskError::BackEnd`]. `hits` is as it was then.
+pub fn any_hits(
+    bvh: &Bvh,
+    rays: &[Ray],
+    per_fan: usize,
+    sides: Sides,
+    back_end: BackEnd,
+    hits: &mut [bool],
+) -> Result<(), MaskError> {
+    check(rays, per_fan, back_end, hits.len())?;
+    let job = |walks: &mut Box<[Walk]>, (rays, hits): (&[Ray], &mut [bool])| {
+        kernel::run(back_end, AnyHits { bvh, rays, per_fan, sides, hits, walks });
+    };
+    in_blocks(rays, per_fan, hits, job);
+    Ok(())
+}
+
+/// What all triangles hit by each ray let through: the sum of `depth_of(index of the triangle)`, each triangle once,
+/// [`OpticalDepth::OPAQUE`] as soon as nothing gets through. Rays as for [`any_hits`].
+///
+/// # Errors
+/// As for [`any_hits`].
+pub fn transmittances(
+    bvh: &Bvh,
+    rays: &[Ray],
+    per_fan: usize,
+    depth_of: impl Fn(u32) -> OpticalDepth + Sync,
+    back_end: BackEnd,
+    sums: &mut [OpticalDepth],
+) -> Result<(), MaskError> {
+    check(rays, per_fan, back_end, sums.len())?;
+    let depth_of = &depth_of;
+    let job = |walks: &mut Box<[Walk]>, (rays, sums): (&[Ray], &mut [OpticalDepth])| {
+        kernel::run(back_end, Transmittances { bvh, rays, per_fan, depth_of, sums, walks });
+    };
+    in_blocks(rays, per_fan, sums, job);
+    Ok(())
+}
+
+fn check(rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: usize) -> Result<(), MaskError> {
+    if !back_end.is_supported() {
+        return Err(MaskError::BackEnd(back_end));
+    }
+    if per_fan == 0 || per_fan > MAX_FAN || !rays.len().is_multiple_of(per_fan) {
+        return Err(MaskError::Fan { per_fan, rays: rays.len() });
+    }
+    if rays.len() != answers {
+        return Err(MaskError::Answers { answers, rays: rays.len() });
+    }
+    let bits = |ray: &Ray| ray.origin.to_array().map(f32::to_bits);
+    let same = |fan: &[Ray]| fan.iter().all(|ray| bits(ray) == bits(&fan[0]));
+    match rays.chunks(per_fan).position(|fan| !same(fan)) {
+        Some(fan) => Err(MaskError::FanOrigin { fan }),
+        None => Ok(()),
+    }
+}
+
+/// Calls `job` with blocks of whole fans, on all threads of the caller's pool.
+fn in_blocks<A: Send>(
+    rays: &[Ray],
+    per_fan: usize,
+    answers: &mut [A],
+    job: impl Fn(&mut Box<[Walk]>, (&[Ray], &mut [A])) + Sync + Send,
+) {
+    let size = BLOCK.next_multiple_of(per_fan);
+    let room = || -> Box<[Walk]> { (0..TURNS).map(|_| Walk::new()).collect() };
+    #[cfg(feature = "rayon")]
+    {
+        use rayon::prelude::*;
+        rays.par_chunks(size).zip(answers.par_chunks_mut(size)).for_each_init(room, job);
+    }
+    #[cfg(not(feature = "rayon"))]
+    {
+        let mut walks = room();
+        rays.chunks(size).zip(answers.chunks_mut(size)).for_each(|block| job(&mut walks, block));
+    }
+}
+
+/// Where the rays of a walk can get.
+#[inline(always)]
+fn hull(rays: &[Ray]) -> Hull {
+    let valid = rays.iter().filter(|ray| ray.is_valid());
+    let reach = valid.clone().map(|ray| f64::from(ray.tfar) * ray.direction.as_dvec3().length());
+    let reach = reach.fold(0f64, f64::max).min(f64::INFINITY) as f32;
+    let cone = Cone::around(valid.map(|ray| unit(ray.direction)));
+    // Without a half-space that holds all of them, the plane culls nothing.
+    let up = if cone.angle[0] > 0.0 { cone.axis } else { Vec3::ZERO };
+    Hull::new(reach, up.to_array(), cone.axis.to_array(), cone.angle)
+}
+
+/// Lets all rays walk; `end` is told the first ray of each walk that has ended.
+#[inline(always)]
+fn walk_all<K: Kernel>(
+    kernel: K,
+    bvh: &Bvh,
+    rays: &[Ray],
+    per_fan: usize,
+    walks: &mut [Walk],
+    goal: &mut impl Goal,
+    mut end: impl FnMut(&Walk, &[Ray]),
+) {
+    let mut next = 0;
+    let start = |walk: &mut Walk| {
+        if next == rays.len() {
+            return false;
+        }
+        let len = (per_fan - next % per_fan).min(RAYS);
+        let part = &rays[next..next + len];
+        walk.part = None;
+        walk.rays.load(part);
+        walk.start(next, part[0].origin.to_array(), hull(part));
+        next += len;
+        true
+    };
+    take_turns(kernel, bvh, walks, goal, start, |walk| {
+        let len = (per_fan - walk.item % per_fan).min(RAYS);
+        end(walk, &rays[walk.item..walk.item + len]);
+    });
+}
+
+/// Whether ray number `i` of `walk` could walk.
+fn walked(walk: &Walk, i: usize) -> bool {
+    walk.rays.closed[i / GROUP] >> (i % GROUP) & 1 == 0
+}
+
+struct AnyHits<'a> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
+    per_fan: usize,
+    sides: Sides,
+    hits: &'a mut [bool],
+    walks: &'a mut [Walk],
+}
+
+impl Job for AnyHits<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        let Self { bvh, rays, per_fan, sides, hits, walks } = self;
+        let mut goal = Blocked { sides };
+        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |walk, rays| {
+            for (i, ray) in rays.iter().enumerate() {
+                let done = walk.done[i / GROUP] >> (i % GROUP) & 1 == 1;
+                hits[walk.item + i] = if walked(walk, i) { done } else { any_hit(bvh, ray, sides) };
+            }
+        });
+    }
+}
+
+struct Transmittances<'a, F> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
+    per_fan: usize,
+    depth_of: &'a F,
+    sums: &'a mut [OpticalDepth],
+    walks: &'a mut [Walk],
+}
+
+impl<F: Fn(u32) -> OpticalDepth> Job for Transmittances<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        let Self { bvh, rays, per_fan, depth_of, sums, walks } = self;
+        sums.fill(OpticalDepth::CLEAR);
+        let mut alone = Vec::new();
+        let mut goal = Dimmed { sums, depth_of };
+        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |walk, rays| {
+            alone.extend((0..rays.len()).filter(|&i| !walked(walk, i)).map(|i| walk.item + i));
+        });
+        for sum in sums.iter_mut().filter(|sum| sum.is_opaque()) {
+            *sum = OpticalDepth::OPAQUE;
+        }
+        for i in alone {
+            sums[i] = bvh.transmittance(&rays[i], depth_of);
+        }
+    }
+}
