@@ -128,7 +128,7 @@ fn the_image_has_what_the_tables_say() {
                 against_walk.rays, against_rays.rays, against_walk.bias, against_rays.bias
             );
             // The same triangle masks; the walk leaves out nodes that no ray meets, whose masks may hold a few.
-            assert!(against_walk.rays < 2e-3, "{text}");
+            assert!(against_walk.rays < 3e-3, "{text}");
             assert!(against_rays.rays < 0.03 && against_rays.bias.abs() < 0.015, "{text}");
             assert!(counters.prisms > 0 && counters.billboards > 0, "{text}");
         }

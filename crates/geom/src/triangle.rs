@@ -268,8 +268,8 @@ pub fn intersect_triangle(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<TriangleH
     };
     let weight = |edge: f64| if d == 0.0 { 1.0 / 3.0 } else { (edge / d).clamp(0.0, 1.0) as f32 };
     let (u, v) = (weight(filter.edges[1]), weight(filter.edges[2]));
-    // Rounding must not carry `t` out of the open segment that it lies in.
-    let t = (t as f32).clamp(ray.tnear.next_up(), ray.tfar.next_down());
+    // Rounding must not carry `t` out of the open segment that it lies in; where no number is inside, it is one of the ends.
+    let t = (t as f32).max(ray.tnear.next_up()).min(ray.tfar.next_down());
     Some(TriangleHit { t, u, v: v.min(1.0 - u), front: side > 0 })
 }
 

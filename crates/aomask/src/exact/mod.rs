@@ -47,9 +47,10 @@ pub fn answer(
         return Err(MaskError::BackEnd(back_end));
     }
     options.validate(pattern)?;
+    let receivers = drive::receivers(points, normals, options.seed)?;
     let parts = rays::parts(pattern, options.radius);
     let engine = Masks { bvh, pattern, options, back_end, parts };
-    drive::run(&engine, pattern, options, points, normals, outputs, progress)
+    drive::run(&engine, pattern, options, &receivers, outputs, progress)
 }
 
 /// What all receivers of a call share.

@@ -168,3 +168,15 @@ fn sides_of_planes_are_exact() {
         assert_eq!((side(corner[0].next_up()), side(corner[0].next_down())), (-1, 1));
     }
 }
+
+#[test]
+fn a_hit_between_neighbouring_numbers_is_reported() {
+    // The plane is crossed at t = (1 + 2 e) / (1 + e) = 1 + e / (1 + e), between the ends 1 and 1 + e.
+    let e = f32::EPSILON;
+    let ray =
+        Ray { tnear: 1.0, tfar: 1.0 + e, ..Ray::new([0.25, 0.25, -1.0 - 2.0 * e], [0.0, 0.0, 1.0 + e]) };
+    let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let hit = intersect_triangle(&ray, corners);
+    assert!(segment_hits_triangle(&ray, corners));
+    assert!(hit.is_some_and(|hit| hit.t == ray.tnear || hit.t == ray.tfar));
+}
