@@ -283,8 +283,8 @@ impl Part {
                 row[i] = ((t * x[i] + b * y[i]) + n * z[i]) * 0.5;
             }
             let row = &mut rays.axis[axis];
-            for g in 0..GROUPS {
-                row[g] = (t * self.axes[0][g] + b * self.axes[1][g]) + n * self.axes[2][g];
+            for (g, x) in row.iter_mut().enumerate() {
+                *x = (t * self.axes[0][g] + b * self.axes[1][g]) + n * self.axes[2][g];
             }
         }
         rays.closed = self.set.closed;

@@ -141,8 +141,8 @@ fn cones(spheres: &Spheres, child: usize, rays: &RaySet) -> u32 {
         // SAFETY: rows have `GROUPS` numbers, a multiple of `LANES`.
         let of = |row: &[f32; GROUPS]| unsafe { _mm256_loadu_ps(row.as_ptr().add(first % GROUPS)) };
         let mut test = slack;
-        for axis in 0..3 {
-            test = _mm256_fmadd_ps(of(&rays.axis[axis]), center[axis], test);
+        for (axis, &center) in rays.axis.iter().zip(&center) {
+            test = _mm256_fmadd_ps(of(axis), center, test);
         }
         test = _mm256_fmadd_ps(of(&rays.sin), radius, test);
         test = _mm256_fnmadd_ps(of(&rays.cos), tangent, test);
