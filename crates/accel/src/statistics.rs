@@ -26,7 +26,7 @@ impl Statistics for () {}
 /// Totals over queries. Counts depend on the structure and may depend on the back end, answers never do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Nodes entered.
+    /// Nodes entered; by rays that walk together, once for all of them.
     pub nodes: u64,
     /// Child boxes tested, empty slots not counted.
     pub box_tests: u64,

@@ -120,7 +120,7 @@ fn the_image_has_what_the_tables_say() {
             let (masks, counters) =
                 picture.masks(&tables, &exact_level(scene), &options, &RasterOptions::default());
             let [masks, exact, walked] = references(&picture, scene, &tables, &options, &masks);
-            assert!(exact.len() > 100, "{}", exact.len());
+            assert!(exact.len() > 50, "{}", exact.len());
             let against_walk = difference(tables.pattern(), &masks, &walked);
             let against_rays = difference(tables.pattern(), &masks, &exact);
             let text = format!(
