@@ -177,7 +177,6 @@ pub(crate) const MASK_RASTER: &str = "mask-raster";
 pub const SHADOW_METHODS: &[&str] = &[
     "auto",
     "bvh",
-    PREFILTER,
     "kd",
     "kd-volumetric",
     "kd-volumetric:ray",
@@ -186,6 +185,7 @@ pub const SHADOW_METHODS: &[&str] = &[
     "kd-volumetric:qdbfs",
     "kd-volumetric:solid",
     "bvh-volumetric",
+    PREFILTER,
 ];
 /// Names of the ambient occlusion methods, `auto` first.
 pub const AO_METHODS: &[&str] = &["auto", "rays", MASK_TABLE, MASK_RASTER, PREFILTER];
@@ -273,6 +273,6 @@ mod tests {
 
     #[test]
     fn every_volumetric_method_is_listed() {
-        assert_eq!(&SHADOW_METHODS[2..], volumetric::NAMES);
+        assert_eq!(&SHADOW_METHODS[2..][..volumetric::NAMES.len()], volumetric::NAMES);
     }
 }
