@@ -1,4 +1,4 @@
-//! Table 2 and figures 5, 6 and 7 of [Laine10], on our scenes.
+//! Table 2 and figures 5, 6 and 7 of `[Laine10]`, on our scenes.
 
 use super::{
     Case, Options, TABLE1, measure, passes,

@@ -1,6 +1,6 @@
 //! Suite `aomask`: ambient occlusion, all rays of a receiver at once, against single rays and peers.
 //!
-//! Here: which scenes, radii and numbers of rays; parts under the names of [Laine10] (`table1`, ..) and `targets`, the grid
+//! Here: which scenes, radii and numbers of rays; parts under the names of `[Laine10]` (`table1`, ..) and `targets`, the grid
 //! that this project's own targets refer to. Not here: receivers and rays (`workload.rs`), the methods (`methods.rs`), rows
 //! (`measure.rs`).
 
@@ -166,7 +166,7 @@ fn exact(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     Ok(())
 }
 
-/// [Laine10], table 1: what a camera sees, two radii, 128 and 1024 rays.
+/// `[Laine10]`, table 1: what a camera sees, two radii, 128 and 1024 rays.
 fn table1(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let Some(table) = TABLE1.iter().find(|table| table.scene == case.name) else { return Ok(()) };
     let unit = if case.name == "sibenik" { 1.0 } else { f64::from(case.mesh.bounds().diagonal()) };

@@ -68,7 +68,7 @@ impl KdOptions {
 /// Queries answer exactly what a loop over all triangles answers ([`crate::brute`]), in every [`Order`].
 ///
 /// # Layout
-/// Nodes of 8 bytes ([Djeu11], section 3.3), left children next to their parents. Leaves hold copies of their triangles in
+/// Nodes of 8 bytes (`[Djeu11]`, section 3.3), left children next to their parents. Leaves hold copies of their triangles in
 /// blocks of up to eight, 128 bytes each, so that one SIMD filter tests a leaf.
 ///
 /// # Empty cells

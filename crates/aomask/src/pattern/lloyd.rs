@@ -1,4 +1,4 @@
-//! Points of a disc by Lloyd relaxation ([Laine10], section 6).
+//! Points of a disc by Lloyd relaxation (`[Laine10]`, section 6).
 //!
 //! Cells are exact polygons in `f64`: half planes against neighbours from a grid, and tangents of the circle. Only
 //! operations that IEEE 754 rounds one way, so the points are the same on every machine.
@@ -18,7 +18,7 @@ const ROUND: f64 = 1e-3;
 /// `n` points of the unit disc: uniform in density, locally irregular.
 ///
 /// # Source
-/// [Laine10], section 6: random points, Lloyd relaxation, a random point of each Voronoi cell, a few more steps. Departure:
+/// `[Laine10]`, section 6: random points, Lloyd relaxation, a random point of each Voronoi cell, a few more steps. Departure:
 /// the first points are scrambled Sobol points. Differences in density over long distances, which independent points have,
 /// take about as many steps to relax as there are points; from Sobol points a few steps are enough.
 pub(super) fn disc_points(n: usize, seed: u32) -> Vec<DVec2> {

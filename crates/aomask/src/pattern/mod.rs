@@ -1,4 +1,4 @@
-//! The pattern of rays that every receiver shares ([Laine10], sections 1, 3 and 6).
+//! The pattern of rays that every receiver shares (`[Laine10]`, sections 1, 3 and 6).
 //!
 //! Here: directions, lengths, their order, the two jitters, and the one arithmetic that turns a pattern into world-space
 //! rays. Not here: how points of the disc are made (`lloyd.rs`).
@@ -211,7 +211,7 @@ fn split(directions: &mut [Vec3]) {
     split(right);
 }
 
-/// Lengths that follow `falloff` ([Laine10], equation 3), one from each of `n` equal shares. They follow the radical
+/// Lengths that follow `falloff` (`[Laine10]`, equation 3), one from each of `n` equal shares. They follow the radical
 /// inverse of the index, so that every group of neighbours has long and short rays.
 fn lengths(n: usize, falloff: &Falloff) -> Box<[f32]> {
     let mut order: Vec<u32> = (0..n as u32).collect();

@@ -1,4 +1,4 @@
-//! Levels of detail by distance ([Laine10], section 4.3).
+//! Levels of detail by distance (`[Laine10]`, section 4.3).
 
 use super::tile::Level;
 use crate::{MaskError, MaskOptions, Pattern};

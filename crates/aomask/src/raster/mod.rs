@@ -1,5 +1,5 @@
 //! Method `mask-raster`: ambient occlusion of all receivers of an image by rasterizing what each triangle may occlude, without
-//! any hierarchy ([Laine10], section 4).
+//! any hierarchy (`[Laine10]`, section 4).
 //!
 //! Here: the call, levels of detail, tiles over threads. The far side of a shape is not drawn polygon by polygon: its
 //! outline gives the pixels, and the inverted depth test asks on which side of the planes of the far side the receiver is,

@@ -1,4 +1,4 @@
-//! Shapes that bound a triangle's region of influence ([Laine10], section 4.1, figures 2 and 3).
+//! Shapes that bound a triangle's region of influence (`[Laine10]`, section 4.1, figures 2 and 3).
 //!
 //! Here: hexagonal prisms and hemisphere billboards, as planes of their far side and as an outline in the image. Not here:
 //! which pixels an outline covers (`outline.rs`), what is done with them (`tile.rs`).

@@ -23,7 +23,7 @@ impl SimplifiedLevel {
 }
 
 /// Up to `count` coarser levels of a mesh, the first with an error of `error` (world units), each other with three times that
-/// of the one before ([Laine10], figure 7). Ends early where nothing is left or nothing changes.
+/// of the one before (`[Laine10]`, figure 7). Ends early where nothing is left or nothing changes.
 ///
 /// # Errors
 /// [`MaskError::Build`] for geometry that can't be used; [`MaskError::Level`] if `error` is not positive and finite.

@@ -1,4 +1,4 @@
-//! Fragments of a tile: the inverted depth test, the five culling tests and the masks ([Laine10], section 4.2).
+//! Fragments of a tile: the inverted depth test, the five culling tests and the masks (`[Laine10]`, section 4.2).
 
 use super::{
     camera::RasterCamera,

@@ -1,6 +1,6 @@
 //! Masks of half spaces through the receiver: the surface of the plane table, kept apart and finer.
 //!
-//! Three of a triangle's four lookups are planes through the receiver and an edge. In [Laine10] they share one cube with all
+//! Three of a triangle's four lookups are planes through the receiver and an edge. In `[Laine10]` they share one cube with all
 //! other planes; a cube map of their own can be several times as fine in the same memory, and leaves the cube's inside
 //! coarse, where less depends on it.
 

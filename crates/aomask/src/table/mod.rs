@@ -1,4 +1,4 @@
-//! Method `mask-table`: ambient occlusion by BVH traversal with masks from tables ([Laine10], sections 3 and 5).
+//! Method `mask-table`: ambient occlusion by BVH traversal with masks from tables (`[Laine10]`, sections 3 and 5).
 //!
 //! Here: the tables of a pattern and the call that answers receivers. The parts have files of their own.
 //!

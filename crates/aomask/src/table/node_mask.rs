@@ -1,4 +1,4 @@
-//! Occlusion masks of nodes: which rays may be blocked by what is in a box ([Laine10], section 5 and figure 4).
+//! Occlusion masks of nodes: which rays may be blocked by what is in a box (`[Laine10]`, section 5 and figure 4).
 //!
 //! Here: masks by the circle around the box's bounding sphere, and by the box's silhouette. All are conservative: they hold
 //! every ray that meets the box. Not here: the hemisphere test before and the walk after (`traversal.rs`).
@@ -42,7 +42,7 @@ pub(crate) struct Circles {
 }
 
 impl LocalBoxes {
-    /// [Laine10], figure 4.
+    /// `[Laine10]`, figure 4.
     #[inline(always)]
     pub(crate) fn circles(&self, directions: Margin, ends: Margin) -> Circles {
         let one = F8::splat(1.0);

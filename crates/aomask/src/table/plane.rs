@@ -1,4 +1,4 @@
-//! The plane table ([Laine10], section 3.1): which rays cross a plane, for every plane at once.
+//! The plane table (`[Laine10]`, section 3.1): which rays cross a plane, for every plane at once.
 //!
 //! Here: how a plane finds its cell, filling the cells, bounds on what rounding to a cell changes. Not here: a finer form of
 //! the table's surface (`edge.rs`), which planes a triangle or a node asks for (`triangle_mask.rs`, `node_mask.rs`).

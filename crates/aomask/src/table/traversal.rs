@@ -1,4 +1,4 @@
-//! Ambient occlusion by BVH traversal ([Laine10], section 5), one receiver at a time.
+//! Ambient occlusion by BVH traversal (`[Laine10]`, section 5), one receiver at a time.
 //!
 //! Here: culling by the hemisphere, the order of nodes, the end when all rays are blocked. Not here: masks of nodes and
 //! triangles (`node_mask.rs`, `triangle_mask.rs`). The paper's speculative while-while loop keeps GPU lanes together and has no

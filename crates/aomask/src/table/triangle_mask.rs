@@ -1,4 +1,4 @@
-//! Occlusion masks of triangles ([Laine10], section 3.1 and figure 1), and the tests that spare them (sections 4.2 and 5).
+//! Occlusion masks of triangles (`[Laine10]`, section 3.1 and figure 1), and the tests that spare them (sections 4.2 and 5).
 //!
 //! Here: eight pairs of a triangle and a receiver at a time. Not here: which pairs are asked about (`traversal.rs`,
 //! `raster/`).
@@ -117,7 +117,7 @@ impl Triangles {
     }
 
     /// Calls `visit` with the masks of the lanes in `which`; `turn` turns vectors to the pattern's axes. Hits nearer than
-    /// `near`, in radii, don't count ([Laine10], section 4.3).
+    /// `near`, in radii, don't count (`[Laine10]`, section 4.3).
     #[inline(always)]
     pub(crate) fn masks<const W: usize>(
         &self,

@@ -1,4 +1,4 @@
-//! Which nodes may end rays: the correlation height `K`, by hand or from connectivity ([Lacewell08], section 3.3).
+//! Which nodes may end rays: the correlation height `K`, by hand or from connectivity (`[Lacewell08]`, section 3.3).
 //!
 //! A node's opacity says nothing about where in the node light is blocked, so a wall cut into nodes would leak. The published
 //! remedy is one height below which no node ends rays. Here each connected surface has a *length*, how far apart its ends

@@ -1,4 +1,4 @@
-//! Directions as cells of three cube faces: a direction and its opposite see the same opacity ([Lacewell08], figure 3).
+//! Directions as cells of three cube faces: a direction and its opposite see the same opacity (`[Lacewell08]`, figure 3).
 
 use umbrage_geom::glam::Vec3;
 

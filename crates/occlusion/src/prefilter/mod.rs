@@ -1,5 +1,5 @@
 //! Prefiltered occlusion: a ray with a solid angle ends at nodes that fit inside its cone, and composites their stored
-//! opacities ([Lacewell08]). Approximate; `docs/prefilter.md` has the measured errors.
+//! opacities (`[Lacewell08]`). Approximate; `docs/prefilter.md` has the measured errors.
 //!
 //! Here: [`Prefiltered`], the 8-wide form that rays should use; [`published`], the algorithm exactly as published, to compare
 //! with. Not here: sampling of lights and skies (`umbrage-render`).

@@ -1,4 +1,4 @@
-//! Directional opacity of every node that may end rays, bottom-up in linear time ([Lacewell08], section 3.3).
+//! Directional opacity of every node that may end rays, bottom-up in linear time (`[Lacewell08]`, section 3.3).
 //!
 //! Here: lines through a node's silhouette, dimmed by what the node holds. Not here: how opacity is stored (`storage.rs`),
 //! which nodes have one (`correlation.rs`).

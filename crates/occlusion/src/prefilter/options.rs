@@ -23,7 +23,7 @@ pub enum CellSampling {
     Center,
 }
 
-/// How opacities are stored ([Lacewell08], section 4.4).
+/// How opacities are stored (`[Lacewell08]`, section 4.4).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Storage {

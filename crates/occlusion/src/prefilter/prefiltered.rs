@@ -45,7 +45,7 @@ pub struct Bytes {
 /// [`umbrage_accel::Bvh::transmittance`]. Results don't depend on the number of threads.
 ///
 /// # Source
-/// [Lacewell08]; `docs/prefilter.md` lists the departures and what each one is worth.
+/// `[Lacewell08]`; `docs/prefilter.md` lists the departures and what each one is worth.
 #[derive(Clone, Debug)]
 pub struct Prefiltered {
     pub(crate) wide: Wide,

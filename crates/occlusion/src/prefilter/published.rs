@@ -18,7 +18,7 @@ const PIXELS: u32 = 10;
 /// A binary hierarchy with a directional opacity in every node from the correlation height up.
 ///
 /// # Source
-/// [Lacewell08], sections 3.2 and 3.3.
+/// `[Lacewell08]`, sections 3.2 and 3.3.
 #[derive(Clone, Debug)]
 pub struct Published {
     tree: BinaryTree,

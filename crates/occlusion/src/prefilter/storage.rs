@@ -1,4 +1,4 @@
-//! How opacities lie in memory ([Lacewell08], section 4.4), and what a ray reads of them: optical depths of eight children.
+//! How opacities lie in memory (`[Lacewell08]`, section 4.4), and what a ray reads of them: optical depths of eight children.
 
 use super::{Directions, kernel::Kernel, wide::WIDTH};
 use umbrage_geom::glam::Vec3;

@@ -1,4 +1,4 @@
-//! A ray with a solid angle through the wide tree ([Lacewell08], Algorithm 1, by the node instead of by the box).
+//! A ray with a solid angle through the wide tree (`[Lacewell08]`, Algorithm 1, by the node instead of by the box).
 //!
 //! Here: the walk of one ray. Not here: many rays at once (`fan.rs`, `packet.rs`), boxes (`kernel`), opacities (`opacity.rs`).
 //!

@@ -1,4 +1,4 @@
-//! LDR-FLIP, the visible difference of two images shown in turn at the same place ([Andersson20]).
+//! LDR-FLIP, the visible difference of two images shown in turn at the same place (`[Andersson20]`).
 //!
 //! Here: the error map of two images of linear light in `[0, 1]`. Not here: means, files, exposure.
 //!

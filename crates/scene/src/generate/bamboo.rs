@@ -1,4 +1,4 @@
-//! `bamboo`: a grove of segmented culms with thin branches and hanging leaves ([Lacewell08], figure 8).
+//! `bamboo`: a grove of segmented culms with thin branches and hanging leaves (`[Lacewell08]`, figure 8).
 
 use super::{
     Generated, Inputs,

@@ -1,4 +1,4 @@
-//! `bush`: stems, branches and twigs with leaves, denser towards the outside ([Lacewell08], figure 1).
+//! `bush`: stems, branches and twigs with leaves, denser towards the outside (`[Lacewell08]`, figure 1).
 
 use super::{
     Generated, Inputs,

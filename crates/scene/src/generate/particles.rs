@@ -1,4 +1,4 @@
-//! `particles`: flat discs in a ball, all facing one direction (the directional case of [Lacewell08], figure 10).
+//! `particles`: flat discs in a ball, all facing one direction (the directional case of `[Lacewell08]`, figure 10).
 
 use super::{
     Generated, Inputs,
