@@ -32,7 +32,7 @@ enum Task {
     },
     /// Runs a benchmark suite, prints a table and writes one JSON object a line.
     Bench {
-        /// Suite: anyhit, stability or reyes.
+        /// Suite: anyhit, aomask, prefilter, reyes, stability or volumetric.
         suite: String,
         /// Same rows, smaller sizes, within three minutes once built.
         #[arg(long)]
@@ -49,6 +49,18 @@ enum Task {
         /// Only scenes whose name contains this.
         #[arg(long, value_name = "TEXT")]
         only: Option<String>,
+        /// Only this part of suite aomask or prefilter.
+        #[arg(long, value_name = "NAME")]
+        part: Option<String>,
+        /// Only figures of suite reyes whose name contains this.
+        #[arg(long, value_name = "TEXT")]
+        figure: Option<String>,
+        /// Pixels along a side of the images of suite reyes.
+        #[arg(long, value_name = "N")]
+        size: Option<u32>,
+        /// Folder for pictures; suites aomask, reyes and volumetric.
+        #[arg(long, value_name = "FOLDER")]
+        pictures: Option<PathBuf>,
     },
     /// Says how to install the libraries that `bench --peer` needs, and whether they are found.
     Peers,
@@ -64,14 +76,18 @@ fn main() -> Result<()> {
     match arguments.task {
         Task::Ci => ci(),
         Task::Golden { bless } => golden(bless),
-        Task::Bench { suite, quick, json, peers, threads, only } => {
-            let mut rest = Vec::new();
-            if let Some(threads) = threads {
-                rest.extend(["--threads".into(), threads.to_string()]);
-            }
-            if let Some(only) = only {
-                rest.extend(["--only".into(), only]);
-            }
+        Task::Bench { suite, quick, json, peers, threads, only, part, figure, size, pictures } => {
+            let pictures = pictures.map(|folder| folder.display().to_string());
+            let options = [
+                ("--threads", threads.map(|n| n.to_string())),
+                ("--only", only),
+                ("--part", part),
+                ("--figure", figure),
+                ("--size", size.map(|n| n.to_string())),
+                ("--pictures", pictures),
+            ];
+            let given = options.into_iter().filter_map(|(name, value)| Some([name.to_owned(), value?]));
+            let rest: Vec<String> = given.flatten().collect();
             bench(&suite, quick, json.as_deref(), &peers, &rest)
         }
         Task::Peers => {
