@@ -8,7 +8,6 @@
 
 mod build;
 mod fan;
-#[allow(unsafe_code)] // SIMD, behind safe functions
 mod kernel;
 mod node;
 mod walk;
