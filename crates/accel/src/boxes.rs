@@ -36,8 +36,8 @@ impl BoxBvh {
         }
         let (mut tree, mut prims) = (Tree::new(Vec::new()), Vec::new());
         if !boxes.is_empty() {
-            let topology = Topology::build(boxes, quality, |_| false);
-            prims = topology.leaves.iter().map(|leaf| topology.order[leaf.start as usize]).collect();
+            let topology = Topology::build(boxes, quality, |run| (run.len() == 1).then_some(()));
+            prims = topology.leaves.iter().map(|(leaf, ())| topology.order[leaf.start as usize]).collect();
             tree.nodes = topology.nodes;
             tree.refit(|leaf| boxes[prims[leaf] as usize]);
         }

@@ -132,17 +132,16 @@ impl Bvh {
         }
         let boxes = triangle_boxes(positions, triangles);
         let leaf_size = usize::from(options.leaf_size).clamp(1, LANES);
-        let fits = |run: &[u32]| run.len() <= leaf_size && LeafVertices::of(triangles, run).is_some();
+        let fits =
+            |run: &[u32]| if run.len() <= leaf_size { LeafVertices::of(triangles, run) } else { None };
         let topology = Topology::build(&boxes, options.quality, fits);
         let (mut blocks, mut vertices) = (Vec::new(), Vec::new());
         blocks.reserve_exact(topology.leaves.len());
         vertices.reserve_exact(topology.leaves.len());
-        for leaf in &topology.leaves {
-            let run = &topology.order[leaf.start as usize..leaf.end as usize];
-            let of = LeafVertices::of(triangles, run).expect("one triangle has three vertices");
+        for (range, of) in &topology.leaves {
             let mut block =
-                TriangleBlock::new(&[[0.0; 3]; LANES], &of.corners[..run.len()]).expect("it fits by now");
-            block.tag = leaf.start;
+                TriangleBlock::new(&[[0.0; 3]; LANES], &of.corners[..range.len()]).expect("it fits by now");
+            block.tag = range.start;
             blocks.push(block);
             vertices.push(of.ids);
         }

@@ -50,10 +50,21 @@ impl<'a> Parts<'a> {
     /// Rays from `at` whose origins have the same bits, up to [`FAN`].
     #[inline]
     fn same_origin(&self, at: usize) -> usize {
-        let bits = |ray: &Ray| ray.origin.to_array().map(f32::to_bits);
-        let rays = &self.rays[at..];
-        let first = rays.first().map(bits);
-        rays.iter().take(FAN).take_while(|ray| Some(bits(ray)) == first).count()
+        let rays = &self.rays[at..self.rays.len().min(at + FAN)];
+        let Some(first) = rays.first() else { return 0 };
+        let differs = |ray: &Ray| {
+            let bits = |axis: usize| ray.origin[axis].to_bits() ^ first.origin[axis].to_bits();
+            bits(0) | bits(1) | bits(2)
+        };
+        let mut same = 0;
+        // Eight at once while all are the same, without a branch for each.
+        for eight in rays.chunks_exact(8) {
+            if eight.iter().fold(0, |any, ray| any | differs(ray)) != 0 {
+                break;
+            }
+            same += 8;
+        }
+        same + rays[same..].iter().take_while(|ray| differs(ray) == 0).count()
     }
 }
 
@@ -177,6 +188,46 @@ impl Envelope {
         let reached = self.extent.map_or(0xff, |[low, high]| kernel.overlap(rows, low, high));
         if self.axes == 0 { reached } else { reached & kernel.fan_mask(rows, &self.ray, 0) }
     }
+}
+
+/// Whether some ray of one origin may enter `bounds`; cheap, and asked only from outside.
+///
+/// A point that a ray reaches after `t` lies, on each axis, between `t` times the least and `t` times the greatest
+/// direction. In `f64`, where nothing over- or underflows, with room for its roundings. NaN, in rays that miss anyway,
+/// drops out or makes the answer true.
+#[inline(always)]
+fn may_enter(rays: &[Ray], bounds: &Aabb) -> bool {
+    let origin = rays[0].origin;
+    if origin.cmpge(bounds.min).all() && origin.cmple(bounds.max).all() {
+        return true;
+    }
+    let (mut least, mut most) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    let mut far = 0.0;
+    for ray in rays {
+        let direction = ray.direction.to_array();
+        for axis in 0..3 {
+            least[axis] = smaller(direction[axis], least[axis]);
+            most[axis] = larger(direction[axis], most[axis]);
+        }
+        far = larger(ray.tfar, far);
+    }
+    let (mut start, mut end) = (0.0, f64::from(far));
+    for axis in 0..3 {
+        let at = f64::from(origin[axis]);
+        let (low, high) = (f64::from(bounds.min[axis]) - at, f64::from(bounds.max[axis]) - at);
+        // Towards positive coordinates, and mirrored.
+        for (low, most) in [(low, f64::from(most[axis])), (-high, -f64::from(least[axis]))] {
+            // t * most >= low
+            if most > 0.0 {
+                start = f64::max(start, low / most * (1.0 - 1e-12));
+            } else if low > 0.0 {
+                return false;
+            } else if most < 0.0 {
+                end = f64::min(end, low / most * (1.0 + 1e-12));
+            }
+        }
+    }
+    start <= end
 }
 
 /// What is asked about each ray.
@@ -340,6 +391,7 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
     loop {
         while busy < TURNS {
             match parts.next() {
+                Some(Part::Fan(range)) if !may_enter(&rays[range.clone()], &bvh.tree.bounds) => {}
                 Some(Part::Fan(range)) => {
                     if walks.len() == busy {
                         walks.push(Walk::new());

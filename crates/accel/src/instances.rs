@@ -215,13 +215,13 @@ impl InstancedBvh {
         };
         let boxes = this.place(placements)?;
         if !boxes.is_empty() {
-            let topology = Topology::build(&boxes, BuildQuality::High, |_| false);
+            let topology = Topology::build(&boxes, BuildQuality::High, |run| (run.len() == 1).then_some(()));
             this.tree.nodes = topology.nodes;
             // Leaves name instances directly.
             for child in this.tree.nodes.iter_mut().flat_map(|node| &mut node.children) {
                 if *child & LEAF != 0 && *child != u32::MAX {
                     let leaf = &topology.leaves[(*child & !LEAF) as usize];
-                    *child = LEAF | topology.order[leaf.start as usize];
+                    *child = LEAF | topology.order[leaf.0.start as usize];
                 }
             }
             this.tree.refit(|instance| boxes[instance]);

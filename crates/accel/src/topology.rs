@@ -18,10 +18,10 @@ use umbrage_geom::{Aabb, glam::DVec3};
 const BALANCE_FROM: usize = MAX_LEVELS - 12;
 
 /// An 8-wide tree without boxes.
-pub(crate) struct Topology {
+pub(crate) struct Topology<L> {
     pub(crate) nodes: Vec<Node>,
-    /// Each leaf's part of `order`.
-    pub(crate) leaves: Vec<Range<u32>>,
+    /// Each leaf's part of `order`, and what its owner made of it.
+    pub(crate) leaves: Vec<(Range<u32>, L)>,
     /// The primitives, leaf by leaf.
     pub(crate) order: Vec<u32>,
 }
@@ -105,35 +105,52 @@ impl Binary {
     }
 
     fn order(bvh: Bvh2) -> Self {
-        let mut this = Self {
-            first: vec![0; bvh.nodes.len()],
-            count: vec![0; bvh.nodes.len()],
-            order: Vec::with_capacity(bvh.primitive_indices.len()),
-            bvh,
-        };
-        let mut preorder = Vec::with_capacity(this.bvh.nodes.len());
+        let len = bvh.nodes.len();
+        let mut this = Self { first: vec![0; len], count: vec![0; len], order: Vec::new(), bvh };
+        this.order.resize(this.bvh.primitive_indices.len(), 0);
+        if this.bvh.children_are_ordered_after_parents {
+            this.number(|len| 0..len);
+        } else {
+            let preorder = this.preorder();
+            this.number(|_| preorder.iter().map(|&index| index as usize));
+        }
+        this
+    }
+
+    /// All nodes, parents before their children.
+    fn preorder(&self) -> Vec<u32> {
+        let mut preorder = Vec::with_capacity(self.bvh.nodes.len());
         let mut stack = vec![0u32];
         while let Some(index) = stack.pop() {
             preorder.push(index);
-            let i = index as usize;
-            let node = this.bvh.nodes[i];
-            this.first[i] = this.order.len() as u32;
-            if node.is_leaf() {
-                let range = node.first_index as usize..(node.first_index + node.prim_count) as usize;
-                this.order.extend_from_slice(&this.bvh.primitive_indices[range]);
-                this.count[i] = node.prim_count;
-            } else {
+            let node = &self.bvh.nodes[index as usize];
+            if !node.is_leaf() {
                 stack.extend([node.first_index + 1, node.first_index]);
             }
         }
-        for &index in preorder.iter().rev() {
-            let node = &this.bvh.nodes[index as usize];
-            if !node.is_leaf() {
-                let child = node.first_index as usize;
-                this.count[index as usize] = this.count[child] + this.count[child + 1];
+        preorder
+    }
+
+    /// Counts from the leaves up, then lays the primitives out from the root down; `nodes` are those of so many, parents
+    /// before their children.
+    fn number<I: DoubleEndedIterator<Item = usize>>(&mut self, nodes: impl Fn(usize) -> I) {
+        let len = self.bvh.nodes.len();
+        for i in nodes(len).rev() {
+            let node = &self.bvh.nodes[i];
+            let child = node.first_index as usize;
+            self.count[i] =
+                if node.is_leaf() { node.prim_count } else { self.count[child] + self.count[child + 1] };
+        }
+        for i in nodes(len) {
+            let node = &self.bvh.nodes[i];
+            let (first, child) = (self.first[i] as usize, node.first_index as usize);
+            if node.is_leaf() {
+                let len = node.prim_count as usize;
+                self.order[first..first + len].copy_from_slice(&self.bvh.primitive_indices[child..child + len]);
+            } else {
+                (self.first[child], self.first[child + 1]) = (first as u32, first as u32 + self.count[child]);
             }
         }
-        this
     }
 }
 
@@ -181,35 +198,48 @@ impl Part {
     }
 }
 
-/// Up to eight parts of `part`, opening the one of largest area first, largest first in the result; true for leaves.
-fn open(part: Part, binary: &Binary, is_leaf: &impl Fn(Part) -> bool) -> Vec<(Part, bool)> {
-    let mut parts = Vec::with_capacity(WIDTH);
-    parts.push((part, is_leaf(part)));
-    while parts.len() < WIDTH {
-        let candidates = parts.iter().enumerate().filter(|(_, (_, leaf))| !leaf);
-        let largest = candidates.max_by(|a, b| a.1.0.priority(binary).total_cmp(&b.1.0.priority(binary)));
-        let Some((index, &(largest, _))) = largest else { break };
-        let [left, right] = largest.split(binary).map(|part| (part, is_leaf(part)));
-        parts[index] = left;
-        parts.push(right);
-    }
-    parts.sort_by(|a, b| b.0.priority(binary).total_cmp(&a.0.priority(binary)));
-    parts
+/// A part with what decides its fate: its priority and, if it fits one, its leaf.
+struct Child<L> {
+    part: Part,
+    priority: f32,
+    leaf: Option<L>,
 }
 
-impl Topology {
-    /// A tree over `boxes`, of which there is at least one; `fits` says whether a leaf can hold some primitives, one being
-    /// always few enough.
-    pub(crate) fn build(boxes: &[Aabb], quality: BuildQuality, fits: impl Fn(&[u32]) -> bool) -> Self {
+/// Up to eight parts of `part`, opening the one of largest area first, largest first in the result.
+fn open<L>(
+    part: Part,
+    binary: &Binary,
+    leaf_of: &impl Fn(Part) -> Option<L>,
+    children: &mut Vec<Child<L>>,
+) {
+    let child = |part: Part| Child { part, priority: part.priority(binary), leaf: leaf_of(part) };
+    children.clear();
+    children.push(child(part));
+    while children.len() < WIDTH {
+        let candidates = children.iter().enumerate().filter(|(_, child)| child.leaf.is_none());
+        let largest = candidates.max_by(|a, b| a.1.priority.total_cmp(&b.1.priority));
+        let Some((index, largest)) = largest else { break };
+        let [left, right] = largest.part.split(binary);
+        children[index] = child(left);
+        children.push(child(right));
+    }
+    children.sort_by(|a, b| b.priority.total_cmp(&a.priority));
+}
+
+impl<L> Topology<L> {
+    /// A tree over `boxes`, of which there is at least one; `fits` makes a leaf of some primitives if it can, and always
+    /// of one.
+    pub(crate) fn build(boxes: &[Aabb], quality: BuildQuality, fits: impl Fn(&[u32]) -> Option<L>) -> Self {
         let binary = Binary::build(boxes, quality);
-        let is_leaf = |part: Part| {
+        let leaf_of = |part: Part| {
             let Range { start, end } = part.range(&binary);
-            end - start == 1 || fits(&binary.order[start as usize..end as usize])
+            fits(&binary.order[start as usize..end as usize])
         };
         let mut nodes = vec![Node::EMPTY];
         let mut leaves = Vec::new();
         // (part, index of its node, level)
         let mut stack = vec![(Part::Node(0), 0, 1)];
+        let mut children = Vec::with_capacity(WIDTH);
         while let Some((part, index, level)) = stack.pop() {
             let part = if level < BALANCE_FROM {
                 part
@@ -217,18 +247,19 @@ impl Topology {
                 let range = part.range(&binary);
                 Part::Run { first: range.start, count: range.len() as u32 }
             };
-            let mut inner = Vec::with_capacity(WIDTH);
-            for (slot, (child, leaf)) in open(part, &binary, &is_leaf).into_iter().enumerate() {
-                nodes[index].children[slot] = if leaf {
-                    leaves.push(child.range(&binary));
+            open(part, &binary, &leaf_of, &mut children);
+            let bottom = stack.len();
+            for (slot, child) in children.drain(..).enumerate() {
+                nodes[index].children[slot] = if let Some(leaf) = child.leaf {
+                    leaves.push((child.part.range(&binary), leaf));
                     LEAF | (leaves.len() - 1) as u32
                 } else {
-                    inner.push((child, nodes.len(), level + 1));
+                    stack.push((child.part, nodes.len(), level + 1));
                     nodes.push(Node::EMPTY);
                     (nodes.len() - 1) as u32
                 };
             }
-            stack.extend(inner.into_iter().rev());
+            stack[bottom..].reverse();
         }
         Self { nodes, leaves, order: binary.order }
     }

@@ -69,7 +69,9 @@ impl Filter {
     pub(crate) fn new(ray: &Ray, corners: [[f32; 3]; 3]) -> Self {
         let origin = ray.origin.as_dvec3();
         let d = ray.direction.as_dvec3();
-        let [a, b, c] = corners.map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()) - origin);
+        // Not by `map`, which is not inlined into functions with target features.
+        let relative = |p: [f32; 3]| DVec3::new(p[0].into(), p[1].into(), p[2].into()) - origin;
+        let [a, b, c] = [relative(corners[0]), relative(corners[1]), relative(corners[2])];
         let [ab, bc, ca] = [a.cross(b), b.cross(c), c.cross(a)];
         let size = |v: DVec3| v.abs().max_element();
         let (sa, sb, sc) = (size(a), size(b), size(c));
@@ -165,36 +167,39 @@ fn add_exact_t(sum: &mut Accumulator, ray: &Ray, [a, b, c]: [[f32; 3]; 3]) {
 /// Sign of `D` if the line meets the closed triangle in one point, else 0.
 #[inline]
 fn line_side(ray: &Ray, corners: [[f32; 3]; 3], filter: &Filter) -> i32 {
-    let signs = filter.edges.map(|x| certain_sign(x, filter.edge_error));
-    let (mut positive, mut negative) = (signs.contains(&Some(1)), signs.contains(&Some(-1)));
+    let [u, v, w] = filter.edges;
+    let (lowest, highest) = (u.min(v).min(w), u.max(v).max(w));
+    let (positive, negative) = (highest > filter.edge_error, lowest < -filter.edge_error);
     if positive && negative {
-        return 0;
+        0
+    } else if lowest > filter.edge_error {
+        1
+    } else if highest < -filter.edge_error {
+        -1
+    } else {
+        line_side_exact(ray, corners, filter, positive, negative)
     }
-    if signs.contains(&None) {
-        return line_side_exact(ray, corners, signs, &mut positive, &mut negative);
-    }
-    i32::from(positive) - i32::from(negative)
 }
 
 #[cold]
 fn line_side_exact(
     ray: &Ray,
     [a, b, c]: [[f32; 3]; 3],
-    signs: [Option<i32>; 3],
-    positive: &mut bool,
-    negative: &mut bool,
+    filter: &Filter,
+    mut positive: bool,
+    mut negative: bool,
 ) -> i32 {
-    for (sign, (p, q)) in signs.into_iter().zip([(c, b), (a, c), (b, a)]) {
-        if sign.is_none() {
+    for (x, (p, q)) in filter.edges.into_iter().zip([(c, b), (a, c), (b, a)]) {
+        if certain_sign(x, filter.edge_error).is_none() {
             let sign = exact_edge_sign(ray, p, q);
-            *positive |= sign > 0;
-            *negative |= sign < 0;
-            if *positive && *negative {
+            positive |= sign > 0;
+            negative |= sign < 0;
+            if positive && negative {
                 return 0;
             }
         }
     }
-    i32::from(*positive) - i32::from(*negative)
+    i32::from(positive) - i32::from(negative)
 }
 
 /// Sign of `T - t D`: of the triangle's plane at the point `o + t d`.

@@ -120,14 +120,22 @@ impl<const N: usize> FanRays<N> {
     /// If `rays` are too many for a chunk, or for the columns.
     #[inline(always)]
     pub fn prepare(&mut self, at: usize, rays: &[Ray]) -> u32 {
+        if let Ok(full) = rays.try_into() {
+            return self.prepare_chunk(at, full);
+        }
         let mut padded = [IDLE; CHUNK];
         padded[..rays.len()].copy_from_slice(rays);
+        self.prepare_chunk(at, &padded) & ((1 << rays.len()) - 1)
+    }
+
+    #[inline(always)]
+    fn prepare_chunk(&mut self, at: usize, rays: &[Ray; CHUNK]) -> u32 {
         let mut fit = [0u32; CHUNK];
         // One loop a step, so that each becomes SIMD.
         let mut scale = [0.0; CHUNK];
         let mut d = [[0.0; CHUNK]; 3];
         for i in 0..CHUNK {
-            let direction = padded[i].direction;
+            let direction = rays[i].direction;
             (d[0][i], d[1][i], d[2][i]) = (direction.x, direction.y, direction.z);
         }
         for i in 0..CHUNK {
@@ -154,7 +162,7 @@ impl<const N: usize> FanRays<N> {
         let (near, far) = (chunk(&mut self.near, at), chunk(&mut self.far, at));
         let (slab_near, slab_far) = (chunk(&mut self.slab_near, at), chunk(&mut self.slab_far, at));
         for i in 0..CHUNK {
-            let Ray { tnear, tfar, .. } = padded[i];
+            let Ray { tnear, tfar, .. } = rays[i];
             // 2 to the power of exponent + 1.
             let unscale = f32::from_bits((254u32 << 23).wrapping_sub(scale[i].to_bits()));
             (near[i], far[i]) = (tnear * unscale, tfar * unscale);
@@ -166,7 +174,7 @@ impl<const N: usize> FanRays<N> {
             slab_far[i] = if end > f32::MIN_POSITIVE { end } else { f32::MIN_POSITIVE };
         }
         let mut mask = 0;
-        for (i, fit) in fit.iter().enumerate().take(rays.len()) {
+        for (i, fit) in fit.iter().enumerate() {
             mask |= fit << i;
         }
         mask
