@@ -38,7 +38,7 @@ impl BoxBvh {
         if !boxes.is_empty() {
             let topology = Topology::build(boxes, quality, |run| (run.len() == 1).then_some(()));
             prims = topology.leaves.iter().map(|(leaf, ())| topology.order[leaf.start as usize]).collect();
-            tree.nodes = topology.nodes;
+            tree = Tree::new(topology.nodes);
             tree.refit(|leaf| boxes[prims[leaf] as usize]);
         }
         Ok(Self { tree, prims, back_end: BackEnd::best() })

@@ -3,6 +3,7 @@
 use crate::{
     BackEnd, BuildError, BuildOptions, Statistics, fan,
     kernel::{Job, Kernel},
+    memory,
     node::Tree,
     packet,
     topology::Topology,
@@ -132,12 +133,10 @@ impl Bvh {
         }
         let boxes = triangle_boxes(positions, triangles);
         let leaf_size = usize::from(options.leaf_size).clamp(1, LANES);
-        let fits =
-            |run: &[u32]| if run.len() <= leaf_size { LeafVertices::of(triangles, run) } else { None };
+        let fits = |run: &[u32]| if run.len() <= leaf_size { LeafVertices::of(triangles, run) } else { None };
         let topology = Topology::build(&boxes, options.quality, fits);
-        let (mut blocks, mut vertices) = (Vec::new(), Vec::new());
-        blocks.reserve_exact(topology.leaves.len());
-        vertices.reserve_exact(topology.leaves.len());
+        let mut blocks = memory::with_capacity(topology.leaves.len());
+        let mut vertices = Vec::with_capacity(topology.leaves.len());
         for (range, of) in &topology.leaves {
             let mut block =
                 TriangleBlock::new(&[[0.0; 3]; LANES], &of.corners[..range.len()]).expect("it fits by now");

@@ -5,7 +5,7 @@
 
 use crate::{
     Bvh, Statistics,
-    kernel::{Ahead, FAN, Kernel, Rows, Stack},
+    kernel::{Ahead, FAN, Fan, Kernel, Rows, Stack},
     node::{LEAF, Node, WIDTH},
     packet::PACKET,
     traversal,
@@ -182,6 +182,13 @@ impl Envelope {
         Self { ray, axes, sum, extent: finite.then_some(extent) }
     }
 
+    /// See [`Fan::signs`].
+    #[inline(always)]
+    fn signs(&self) -> Option<[u32; 3]> {
+        let [[x], [y], [z]] = self.ray.negative;
+        if self.axes == 3 { Some([x, y, z]) } else { None }
+    }
+
     /// Children that some ray may enter.
     #[inline(always)]
     fn mask<K: Kernel>(&self, kernel: K, rows: &Rows) -> u32 {
@@ -242,13 +249,12 @@ pub(crate) trait Goal {
 
 /// One fan on its way.
 struct Walk {
-    fan: FanRays<FAN>,
+    fan: Fan,
     stack: Stack,
     top: usize,
     /// Rays that still look.
     alive: u32,
     origin: [f32; 3],
-    ahead: Ahead,
     envelope: Envelope,
     /// Whether the envelope may exclude anything.
     narrow: bool,
@@ -258,11 +264,11 @@ struct Walk {
 
 impl Walk {
     fn new() -> Self {
-        let fan = FanRays::default();
-        let envelope = Envelope::new(&fan, 0, 0);
+        let rays = FanRays::default();
+        let envelope = Envelope::new(&rays, 0, 0);
         let (stack, origin) = (Stack::new(), [0.0; 3]);
-        let ahead = Ahead::new(origin, [origin; 2]);
-        Self { fan, stack, top: 0, alive: 0, origin, ahead, envelope, narrow: false, first: 0 }
+        let fan = Fan { rays, ahead: Ahead::new(origin, [origin; 2]), signs: None };
+        Self { fan, stack, top: 0, alive: 0, origin, envelope, narrow: false, first: 0 }
     }
 
     /// Takes up `rays` of one origin; returns those that it can answer.
@@ -271,15 +277,16 @@ impl Walk {
         let mut fit = 0;
         if rays[0].origin.is_finite() {
             for (i, chunk) in rays.chunks(CHUNK).enumerate() {
-                fit |= self.fan.prepare(i * CHUNK, chunk) << (i * CHUNK);
+                fit |= self.fan.rays.prepare(i * CHUNK, chunk) << (i * CHUNK);
             }
         }
         self.origin = rays[0].origin.to_array();
         self.first = first;
-        self.envelope = Envelope::new(&self.fan, fit, rays.len());
+        self.envelope = Envelope::new(&self.fan.rays, fit, rays.len());
         let relative = [bounds.min - rays[0].origin, bounds.max - rays[0].origin].map(|v| v.to_array());
-        self.ahead = Ahead::new(self.envelope.sum, relative);
+        self.fan.ahead = Ahead::new(self.envelope.sum, relative);
         self.narrow = self.envelope.extent.is_some() || self.envelope.axes > 1;
+        self.fan.signs = self.envelope.signs();
         self.alive = fit;
         self.top = usize::from(fit != 0);
         (self.stack.children[0], self.stack.rays[0]) = (0, fit);
@@ -322,16 +329,8 @@ impl Walk {
             self.top += usize::from(wanted != 0);
         } else {
             stats.node(node.len() as u32);
-            self.top = kernel.fan_push(
-                &node.children,
-                &rows,
-                &self.fan,
-                &self.ahead,
-                mask,
-                wanted,
-                &mut self.stack,
-                bottom,
-            );
+            self.top =
+                kernel.fan_push(&node.children, &rows, &self.fan, mask, wanted, &mut self.stack, bottom);
         }
         // Without a loop over what was pushed, whose length nothing predicts.
         for &child in &self.stack.children[self.top.saturating_sub(3)..self.top] {
@@ -359,7 +358,7 @@ impl Walk {
         while rest != 0 {
             let r = rest.trailing_zeros() as usize;
             rest &= rest - 1;
-            let mask = kernel.fan_filter(&planes, &self.fan, r);
+            let mask = kernel.fan_filter(&planes, &self.fan.rays, r);
             stats.triangles(block.len() as u32);
             stats.uncertain(mask.uncertain.count_ones());
             if mask.certain | mask.uncertain != 0 && goal.leaf(bvh, leaf, self.first + r, mask) {
@@ -476,5 +475,55 @@ impl<F: Fn(u32) -> OpticalDepth> Goal for Transmittance<'_, F> {
     #[inline(always)]
     fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S) {
         self.sums[index] = traversal::transmittance(kernel, bvh, &self.rays[index], self.depth_of, stats);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use umbrage_geom::glam::Vec3;
+
+    fn vector() -> impl Strategy<Value = Vec3> {
+        let x = prop_oneof![4 => -1f32..1.0, 1 => (-2i8..3).prop_map(f32::from), 1 => Just(-0.0f32)];
+        [x.clone(), x.clone(), x].prop_map(Vec3::from)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4000))]
+        #[test]
+        fn fans_that_reach_a_point_of_the_box_may_enter(
+            origin in vector(),
+            (a, b) in (vector(), vector()),
+            others in prop::collection::vec(vector(), 0..9),
+            at in [0f32..=1.0, 0f32..=1.0, 0f32..=1.0],
+            (scale, extreme) in (prop::sample::select(vec![1f32, 1e-30, 1e30]), prop::sample::select(vec![f32::NAN, 1e38, 1e-45])),
+        ) {
+            let bounds = Aabb { min: a.min(b), max: a.max(b) };
+            // Exactly the point where the segment ends, which rounding may have moved out of the box.
+            let direction = a.lerp(b, 0.5).with_x(a.x + (b.x - a.x) * at[0]) * (1.0 + at[1] + at[2]) - origin;
+            let end = origin.as_dvec3() + direction.as_dvec3();
+            let inside = end.cmpge(bounds.min.as_dvec3()).all() && end.cmple(bounds.max.as_dvec3()).all();
+            let mut rays = vec![Ray { origin, direction: direction * scale, tnear: 0.0, tfar: 1.001 / scale }];
+            rays.extend(others.iter().map(|&d| Ray::new(origin, d)));
+            rays.push(Ray::new(origin, Vec3::splat(extreme)).with_tfar(extreme));
+            prop_assert!(!inside || may_enter(&rays, &bounds));
+        }
+    }
+
+    #[test]
+    fn fans_that_look_away_or_end_early_do_not_enter() {
+        let bounds = Aabb { min: Vec3::ONE, max: Vec3::splat(2.0) };
+        let fan = |towards: [f32; 3], tfar: f32| {
+            let rays = [0f32, 0.1, 0.2]
+                .map(|x| Ray::new(Vec3::ZERO, Vec3::from(towards) + Vec3::X * x).with_tfar(tfar));
+            may_enter(&rays, &bounds)
+        };
+        assert!(fan([1.0; 3], 1.1));
+        assert!(!fan([1.0; 3], 0.7));
+        assert!(!fan([-1.0, 1.0, 1.0], f32::INFINITY));
+        assert!(!fan([1.0, 0.0, 1.0], f32::INFINITY));
+        assert!(!fan([1.0, 1.0, 0.3], f32::INFINITY));
+        assert!(may_enter(&[Ray::new(Vec3::splat(1.5), Vec3::X)], &bounds));
     }
 }

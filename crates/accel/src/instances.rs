@@ -216,7 +216,7 @@ impl InstancedBvh {
         let boxes = this.place(placements)?;
         if !boxes.is_empty() {
             let topology = Topology::build(&boxes, BuildQuality::High, |run| (run.len() == 1).then_some(()));
-            this.tree.nodes = topology.nodes;
+            this.tree = Tree::new(topology.nodes);
             // Leaves name instances directly.
             for child in this.tree.nodes.iter_mut().flat_map(|node| &mut node.children) {
                 if *child & LEAF != 0 && *child != u32::MAX {

@@ -10,6 +10,7 @@ mod error;
 mod fan;
 mod instances;
 mod kernel;
+mod memory;
 mod node;
 mod options;
 mod packet;

@@ -2,6 +2,7 @@
 //!
 //! Here: layout, refit. Not here: which primitives share a node (`topology.rs`), walking (`traversal.rs`, `fan.rs`).
 
+use crate::memory;
 use umbrage_geom::Aabb;
 
 /// Children of a node.
@@ -108,7 +109,7 @@ pub(crate) struct Tree {
 impl Tree {
     /// A tree whose boxes are not set yet.
     pub(crate) fn new(nodes: Vec<Node>) -> Self {
-        Self { nodes, bounds: Aabb::EMPTY }
+        Self { nodes: memory::settle(nodes), bounds: Aabb::EMPTY }
     }
 
     /// Sets every box to the union of what is below it.

@@ -146,7 +146,8 @@ impl Binary {
             let (first, child) = (self.first[i] as usize, node.first_index as usize);
             if node.is_leaf() {
                 let len = node.prim_count as usize;
-                self.order[first..first + len].copy_from_slice(&self.bvh.primitive_indices[child..child + len]);
+                self.order[first..first + len]
+                    .copy_from_slice(&self.bvh.primitive_indices[child..child + len]);
             } else {
                 (self.first[child], self.first[child + 1]) = (first as u32, first as u32 + self.count[child]);
             }
@@ -206,12 +207,7 @@ struct Child<L> {
 }
 
 /// Up to eight parts of `part`, opening the one of largest area first, largest first in the result.
-fn open<L>(
-    part: Part,
-    binary: &Binary,
-    leaf_of: &impl Fn(Part) -> Option<L>,
-    children: &mut Vec<Child<L>>,
-) {
+fn open<L>(part: Part, binary: &Binary, leaf_of: &impl Fn(Part) -> Option<L>, children: &mut Vec<Child<L>>) {
     let child = |part: Part| Child { part, priority: part.priority(binary), leaf: leaf_of(part) };
     children.clear();
     children.push(child(part));

@@ -81,6 +81,14 @@ impl Ahead {
     }
 }
 
+/// Rays of one origin, prepared, with what holds for all of them.
+pub(crate) struct Fan {
+    pub(crate) rays: FanRays<FAN>,
+    pub(crate) ahead: Ahead,
+    /// By axis: 1 where all directions are negative, 0 where none is; `None` if they are mixed on some axis.
+    pub(crate) signs: Option<[u32; 3]>,
+}
+
 /// Entries of [`Stack`]: the most that a walk can push, and room for writing a whole node at once.
 const STACK: usize = (WIDTH - 1) * MAX_LEVELS + 1 + WIDTH;
 
@@ -135,8 +143,7 @@ pub(crate) trait Kernel: Copy {
         self,
         children: &[u32; WIDTH],
         rows: &Rows,
-        rays: &FanRays<FAN>,
-        ahead: &Ahead,
+        fan: &Fan,
         left: u32,
         wanted: u32,
         stack: &mut Stack,

@@ -1,6 +1,6 @@
 //! The oracle: plain operations, one child at a time.
 
-use super::{Ahead, FAN, Kernel, NodeRay, Rows, Stack};
+use super::{Ahead, FAN, Fan, Kernel, NodeRay, Rows, Stack};
 use crate::node::{Node, WIDTH};
 use umbrage_geom::kernel::{
     BlockMask, BlockRay, TriangleBlock,
@@ -89,8 +89,7 @@ impl Kernel for Scalar {
         self,
         children: &[u32; WIDTH],
         rows: &Rows,
-        rays: &FanRays<FAN>,
-        ahead: &Ahead,
+        fan: &Fan,
         left: u32,
         wanted: u32,
         stack: &mut Stack,
@@ -98,13 +97,13 @@ impl Kernel for Scalar {
     ) -> usize {
         let mut columns = [0; WIDTH];
         for r in (0..FAN).filter(|r| left >> r & 1 == 1) {
-            let entered = self.fan_mask(rows, rays, r) & wanted;
+            let entered = self.fan_mask(rows, &fan.rays, r) & wanted;
             columns.iter_mut().enumerate().for_each(|(i, column)| *column |= (entered >> i & 1) << r);
         }
         let key = |i: usize| {
             let middle = [0, 1, 2].map(|axis| rows.0[2 * axis][i] + rows.0[2 * axis + 1][i]);
-            let [x, y, z] = [0, 1, 2].map(|axis| ahead.direction[axis] * middle[axis]);
-            columns[i].count_ones() as f32 - (x + y + z + ahead.offset).clamp(0.0, Ahead::MOST)
+            let [x, y, z] = [0, 1, 2].map(|axis| fan.ahead.direction[axis] * middle[axis]);
+            columns[i].count_ones() as f32 - (x + y + z + fan.ahead.offset).clamp(0.0, Ahead::MOST)
         };
         let (bottom, mut keys) = (top, [0.0; WIDTH]);
         for i in (0..WIDTH).filter(|&i| columns[i] != 0) {

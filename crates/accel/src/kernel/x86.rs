@@ -1,6 +1,6 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::{Ahead, Avx2, FAN, Job, Kernel, NodeRay, Rows, Stack};
+use super::{Ahead, Avx2, FAN, Fan, Job, Kernel, NodeRay, Rows, Stack};
 use crate::node::{Node, WIDTH};
 use std::arch::x86_64::*;
 use umbrage_geom::kernel::{
@@ -87,21 +87,61 @@ fn rows(node: &Node, origin: [f32; 3]) -> Rows {
     rows
 }
 
-/// All bits set for the children that ray `r` may enter.
+/// The near and the far planes of an axis, for rays in its negative direction or not.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn fan_slabs<const N: usize>(rows: &Rows, rays: &FanRays<N>, r: usize) -> __m256 {
+fn ends(rows: &Rows, axis: usize, negative: u32) -> [__m256; 2] {
+    let row = 2 * axis + (negative as usize & 1);
+    // SAFETY: rows are eight floats, aligned as all of them are.
+    unsafe { [_mm256_load_ps(rows.0[row].as_ptr()), _mm256_load_ps(rows.0[row ^ 1].as_ptr())] }
+}
+
+/// All bits set for the children that ray `r` may enter, by [`ends`] of each axis.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn fan_slabs<const N: usize>(ends: [[__m256; 2]; 3], rays: &FanRays<N>, r: usize) -> __m256 {
     let (mut entry, mut exit) = (_mm256_set1_ps(rays.slab_near[r]), _mm256_set1_ps(rays.slab_far[r]));
-    for axis in 0..3 {
-        let row = 2 * axis + (rays.negative[axis][r] as usize & 1);
-        // SAFETY: rows are eight floats, aligned as all of them are.
-        let (near, far) =
-            unsafe { (_mm256_load_ps(rows.0[row].as_ptr()), _mm256_load_ps(rows.0[row ^ 1].as_ptr())) };
+    for (axis, [near, far]) in ends.into_iter().enumerate() {
         // `max` and `min` return the second operand for NaN, which drops it.
         entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(rays.inv_near[axis][r])), entry);
         exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(rays.inv_far[axis][r])), exit);
     }
     _mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)
+}
+
+/// [`ends`] for ray `r`.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn ends_of<const N: usize>(rows: &Rows, rays: &FanRays<N>, r: usize) -> [[__m256; 2]; 3] {
+    let of = |axis: usize| ends(rows, axis, rays.negative[axis][r]);
+    [of(0), of(1), of(2)]
+}
+
+/// Children that the rays in `left` may enter: for each child one bit a ray.
+#[inline]
+#[target_feature(enable = "avx2,bmi1")]
+fn columns(rows: &Rows, fan: &Fan, mut left: u32) -> __m256i {
+    let mut columns = _mm256_setzero_si256();
+    let mut add = |r: usize, entered: __m256| {
+        let bit = _mm256_set1_epi32(1 << r);
+        columns = _mm256_or_si256(columns, _mm256_and_si256(_mm256_castps_si256(entered), bit));
+    };
+    if let Some([x, y, z]) = fan.signs {
+        // Planes are loaded once for all rays.
+        let ends = [ends(rows, 0, x), ends(rows, 1, y), ends(rows, 2, z)];
+        while left != 0 {
+            let r = left.trailing_zeros() as usize % FAN;
+            left &= left - 1;
+            add(r, fan_slabs(ends, &fan.rays, r));
+        }
+    } else {
+        while left != 0 {
+            let r = left.trailing_zeros() as usize % FAN;
+            left &= left - 1;
+            add(r, fan_slabs(ends_of(rows, &fan.rays, r), &fan.rays, r));
+        }
+    }
+    columns
 }
 
 #[inline]
@@ -157,21 +197,13 @@ fn sort(x: __m256i) -> __m256i {
 fn fan_push(
     children: &[u32; WIDTH],
     rows: &Rows,
-    rays: &FanRays<FAN>,
-    ahead: &Ahead,
-    mut left: u32,
+    fan: &Fan,
+    left: u32,
     wanted: u32,
     stack: &mut Stack,
     top: usize,
 ) -> usize {
-    let mut columns = _mm256_setzero_si256();
-    while left != 0 {
-        let r = left.trailing_zeros();
-        let bit = _mm256_set1_epi32((left & left.wrapping_neg()) as i32);
-        left &= left - 1;
-        let entered = _mm256_castps_si256(fan_slabs(rows, rays, r as usize % FAN));
-        columns = _mm256_or_si256(columns, _mm256_and_si256(entered, bit));
-    }
+    let columns = columns(rows, fan, left);
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     let asked =
         _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32(wanted as i32), lanes), _mm256_set1_epi32(1));
@@ -179,13 +211,13 @@ fn fan_push(
         _mm256_cmpeq_epi32(columns, _mm256_setzero_si256()),
         _mm256_cmpeq_epi32(asked, _mm256_setzero_si256()),
     );
-    let mut way = _mm256_set1_ps(ahead.offset);
+    let mut way = _mm256_set1_ps(fan.ahead.offset);
     for axis in 0..3 {
         // SAFETY: rows are eight floats, aligned as all of them are.
         let (low, high) = unsafe {
             (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
         };
-        way = _mm256_fmadd_ps(_mm256_add_ps(low, high), _mm256_set1_ps(ahead.direction[axis]), way);
+        way = _mm256_fmadd_ps(_mm256_add_ps(low, high), _mm256_set1_ps(fan.ahead.direction[axis]), way);
     }
     let way = _mm256_min_ps(_mm256_max_ps(way, _mm256_setzero_ps()), _mm256_set1_ps(Ahead::MOST));
     // Bits of positive floats sort as integers; the lane takes the place of the lowest ones, what is dropped comes last.
@@ -247,7 +279,7 @@ impl Kernel for Avx2 {
     #[inline(always)]
     fn fan_mask<const N: usize>(self, rows: &Rows, rays: &FanRays<N>, r: usize) -> u32 {
         // SAFETY: `self` proves the target features.
-        unsafe { _mm256_movemask_ps(fan_slabs(rows, rays, r % N)) as u32 }
+        unsafe { _mm256_movemask_ps(fan_slabs(ends_of(rows, rays, r % N), rays, r % N)) as u32 }
     }
 
     #[inline(always)]
@@ -281,15 +313,14 @@ impl Kernel for Avx2 {
         self,
         children: &[u32; WIDTH],
         rows: &Rows,
-        rays: &FanRays<FAN>,
-        ahead: &Ahead,
+        fan: &Fan,
         left: u32,
         wanted: u32,
         stack: &mut Stack,
         top: usize,
     ) -> usize {
         // SAFETY: `self` proves the target features.
-        unsafe { fan_push(children, rows, rays, ahead, left, wanted, stack, top) }
+        unsafe { fan_push(children, rows, fan, left, wanted, stack, top) }
     }
 }
 
