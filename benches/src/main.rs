@@ -37,7 +37,7 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Only this part of a suite; aomask: targets, mask, table1, table2, figure5, figure6, figure7; prefilter: targets,
+    /// Only this part of a suite; anyhit: choices; aomask: targets, mask, table1, table2, figure5, figure6, figure7; prefilter: targets,
     /// tables, fig5, fig6, fig9, fig10, bias, refit, control, forest.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
@@ -62,8 +62,8 @@ fn main() -> Result<()> {
     let mut output = rows::Output::new(file);
     match arguments.suite.as_str() {
         "anyhit" => {
-            let Arguments { quick, peers, threads, only, .. } = arguments;
-            anyhit::run(&anyhit::Options { quick, peers, threads, only }, &mut output)
+            let Arguments { quick, peers, threads, only, part, .. } = arguments;
+            anyhit::run(&anyhit::Options { quick, peers, threads, only, part }, &mut output)
         }
         "aomask" => {
             let Arguments { quick, peers, only, part, pictures, .. } = arguments;

@@ -4,6 +4,8 @@
 //! entry points. Its variants `bvh-scalar` (no SIMD) and `bvh-fast` (the quick build) stand beside it; all are measured
 //! against `bvh`, and `bvh` against each peer asked for.
 
+#[cfg(target_arch = "x86_64")]
+mod choices;
 mod measure;
 pub mod ours;
 mod workloads;
@@ -14,7 +16,7 @@ use crate::{
     peer::{self, Peer, PeerName},
     rows::{Output, note},
 };
-use anyhow::Result;
+use anyhow::{Result, bail};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use umbrage_accel::{BuildOptions, BuildQuality};
 use umbrage_geom::{OpticalDepth, Ray};
@@ -29,10 +31,21 @@ pub struct Options {
     pub threads: usize,
     /// Only scenes whose name contains this.
     pub only: Option<String>,
+    /// `choices`; `None` for everything else.
+    pub part: Option<String>,
 }
 
 /// Runs the suite.
+///
+/// # Errors
+/// If there is no such part, or a mesh can't be had.
 pub fn run(options: &Options, output: &mut Output) -> Result<()> {
+    match options.part.as_deref() {
+        None => {}
+        #[cfg(target_arch = "x86_64")]
+        Some("choices") => return choices::run(options.quick, options.only.as_deref(), output),
+        Some(other) => bail!("unknown part '{other}' of suite anyhit, expected choices"),
+    }
     let pool = |threads: usize| ThreadPoolBuilder::new().num_threads(threads).build();
     let one = pool(1)?;
     let many = if options.threads > 1 { Some(pool(options.threads)?) } else { None };
