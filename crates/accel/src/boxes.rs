@@ -36,7 +36,9 @@ impl BoxBvh {
         }
         let (mut tree, mut prims) = (Tree::new(Vec::new()), Vec::new());
         if !boxes.is_empty() {
-            let topology = Topology::build(boxes, quality, |run| (run.len() == 1).then_some(()));
+            // Half of what they are around is taken to be solid.
+            let area = |i: u32| 0.25 * boxes[i as usize].area();
+            let topology = Topology::build(boxes, quality, area, |run| (run.len() == 1).then_some(()));
             prims = topology.leaves.iter().map(|(leaf, ())| topology.order[leaf.start as usize]).collect();
             tree = Tree::new(topology.nodes);
             tree.refit(|leaf| boxes[prims[leaf] as usize]);

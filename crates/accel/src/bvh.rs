@@ -13,6 +13,7 @@ use fan::Goal;
 use std::ops::{ControlFlow, Range};
 use umbrage_geom::{
     Aabb, OpticalDepth, Ray, TriangleHit,
+    glam::Vec3,
     kernel::{LANES, TriangleBlock},
     mesh::{validate_positions, validate_slices},
 };
@@ -101,6 +102,11 @@ impl LeafVertices {
     }
 }
 
+fn area(positions: &[[f32; 3]], triangle: [u32; 3]) -> f32 {
+    let [a, b, c] = corners(positions, triangle).map(Vec3::from);
+    0.5 * (b - a).cross(c - a).length()
+}
+
 fn triangle_boxes(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Vec<Aabb> {
     let aabb = |&t: &[u32; 3]| Aabb::from_points(&corners(positions, t));
     #[cfg(feature = "rayon")]
@@ -134,7 +140,8 @@ impl Bvh {
         let boxes = triangle_boxes(positions, triangles);
         let leaf_size = usize::from(options.leaf_size).clamp(1, LANES);
         let fits = |run: &[u32]| if run.len() <= leaf_size { LeafVertices::of(triangles, run) } else { None };
-        let topology = Topology::build(&boxes, options.quality, fits);
+        let topology =
+            Topology::build(&boxes, options.quality, |prim| area(positions, triangles[prim as usize]), fits);
         let mut blocks = memory::with_capacity(topology.leaves.len());
         let mut vertices = Vec::with_capacity(topology.leaves.len());
         for (range, of) in &topology.leaves {

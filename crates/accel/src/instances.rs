@@ -215,7 +215,10 @@ impl InstancedBvh {
         };
         let boxes = this.place(placements)?;
         if !boxes.is_empty() {
-            let topology = Topology::build(&boxes, BuildQuality::High, |run| (run.len() == 1).then_some(()));
+            // Half of what they are around is taken to be solid.
+            let area = |i: u32| 0.25 * boxes[i as usize].area();
+            let topology =
+                Topology::build(&boxes, BuildQuality::High, area, |run| (run.len() == 1).then_some(()));
             this.tree = Tree::new(topology.nodes);
             // Leaves name instances directly.
             for child in this.tree.nodes.iter_mut().flat_map(|node| &mut node.children) {

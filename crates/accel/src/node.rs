@@ -21,7 +21,7 @@ pub(crate) const LEAF: u32 = 1 << 31;
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(128))]
 pub(crate) struct Node {
-    /// Nodes come after their parents. Slots fill from 0, larger boxes first; `u32::MAX` in empty ones.
+    /// Nodes come after their parents. Slots fill from 0, in the order of [`Self::merit`]; `u32::MAX` in empty ones.
     pub(crate) children: [u32; WIDTH],
     /// Rows: smallest x, largest x, smallest y, ..; one child a lane.
     pub(crate) grid: [[u8; WIDTH]; 6],
@@ -31,6 +31,8 @@ pub(crate) struct Node {
     pub(crate) step: [f32; 3],
     /// One bit for each slot in use.
     pub(crate) used: u32,
+    /// Probability that a child stops a ray that enters it, over the expected cost: see [`Self::merit`].
+    pub(crate) merits: [u8; WIDTH],
 }
 
 /// `x >= 0` with its significand rounded up to 16 bits; at least the smallest normal number, unless 0.
@@ -43,8 +45,30 @@ fn coarsen(x: f64) -> f32 {
 }
 
 impl Node {
-    pub(crate) const EMPTY: Self =
-        Self { children: [u32::MAX; WIDTH], grid: [[0; WIDTH]; 6], base: [0.0; 3], step: [0.0; 3], used: 0 };
+    pub(crate) const EMPTY: Self = Self {
+        children: [u32::MAX; WIDTH],
+        grid: [[0; WIDTH]; 6],
+        base: [0.0; 3],
+        step: [0.0; 3],
+        used: 0,
+        merits: [0; WIDTH],
+    };
+
+    /// What [`Self::set_merit`] was given, from `2^-31` to almost 2, with three bits after the first; their bits are those of
+    /// a float.
+    #[inline]
+    pub(crate) fn merit(&self, slot: usize) -> f32 {
+        f32::from_bits((u32::from(self.merits[slot]) + Self::LEAST_MERIT) << 20)
+    }
+
+    /// [`Self::merit`] of a slot.
+    pub(crate) fn set_merit(&mut self, slot: usize, merit: f32) {
+        let bits = (merit.max(0.0).to_bits() >> 20).saturating_sub(Self::LEAST_MERIT);
+        self.merits[slot] = bits.min(u32::from(u8::MAX)) as u8;
+    }
+
+    /// `2^-31` in the upper twelve bits of a float.
+    pub(crate) const LEAST_MERIT: u32 = 96 << 3;
 
     /// Plane `number` of an axis, rounded once.
     #[inline]

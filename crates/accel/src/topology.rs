@@ -224,8 +224,13 @@ fn open<L>(part: Part, binary: &Binary, leaf_of: &impl Fn(Part) -> Option<L>, ch
 
 impl<L> Topology<L> {
     /// A tree over `boxes`, of which there is at least one; `fits` makes a leaf of some primitives if it can, and always
-    /// of one.
-    pub(crate) fn build(boxes: &[Aabb], quality: BuildQuality, fits: impl Fn(&[u32]) -> Option<L>) -> Self {
+    /// of one. `area` is that of a primitive's surface, one side counted.
+    pub(crate) fn build(
+        boxes: &[Aabb],
+        quality: BuildQuality,
+        area: impl Fn(u32) -> f32,
+        fits: impl Fn(&[u32]) -> Option<L>,
+    ) -> Self {
         let binary = Binary::build(boxes, quality);
         let leaf_of = |part: Part| {
             let Range { start, end } = part.range(&binary);
@@ -257,6 +262,71 @@ impl<L> Topology<L> {
             }
             stack[bottom..].reverse();
         }
-        Self { nodes, leaves, order: binary.order }
+        let mut this = Self { nodes, leaves, order: binary.order };
+        this.arrange(boxes, area);
+        this
+    }
+
+    /// Orders the children of each node: first what stops a ray with the greatest probability for its cost.
+    ///
+    /// Ize and Hansen 2011 (RTSAH), for eight children and taken from the surface: a triangle stops a ray that enters its
+    /// leaf with the probability of their mean shadows' ratio. Optical depths add up to opaque after so many triangles that
+    /// their form for attenuating ones makes no difference to sums.
+    fn arrange(&mut self, boxes: &[Aabb], area: impl Fn(u32) -> f32) {
+        let mut below = vec![Subtree::default(); self.nodes.len()];
+        for i in (0..self.nodes.len()).rev() {
+            let node = &mut self.nodes[i];
+            let mut parts = [(Subtree::default(), u32::MAX); WIDTH];
+            let mut all = Aabb::EMPTY;
+            let used = node.children.iter().take_while(|&&child| child != u32::MAX).count();
+            for (part, &child) in parts.iter_mut().zip(&node.children[..used]) {
+                let index = (child & !LEAF) as usize;
+                let subtree = if child & LEAF == 0 {
+                    below[index]
+                } else {
+                    let Range { start, end } = self.leaves[index].0;
+                    Subtree::leaf(&self.order[start as usize..end as usize], boxes, &area)
+                };
+                all = all.union(subtree.aabb);
+                *part = (subtree, child);
+            }
+            // By multiplication, so that nothing divides by 0.
+            parts[..used].sort_by(|(a, _), (b, _)| (b.stop * a.cost).total_cmp(&(a.stop * b.cost)));
+            let (mut cost, mut pass) = (1.0, 1.0);
+            for (slot, (subtree, child)) in parts[..used].iter().enumerate() {
+                let share = if all.area() > 0.0 { subtree.aabb.area() / all.area() } else { 1.0 };
+                cost += pass * share * subtree.cost;
+                pass *= 1.0 - share * subtree.stop;
+                node.children[slot] = *child;
+                node.set_merit(slot, subtree.stop / subtree.cost);
+            }
+            below[i] = Subtree { aabb: all, cost, stop: 1.0 - pass };
+        }
+    }
+}
+
+/// What a ray meets in a subtree.
+#[derive(Clone, Copy)]
+struct Subtree {
+    aabb: Aabb,
+    /// Expected steps of a ray that enters.
+    cost: f32,
+    /// Probability that a ray that enters ends inside.
+    stop: f32,
+}
+
+impl Default for Subtree {
+    fn default() -> Self {
+        Self { aabb: Aabb::EMPTY, cost: 1.0, stop: 0.0 }
+    }
+}
+
+impl Subtree {
+    fn leaf(prims: &[u32], boxes: &[Aabb], area: &impl Fn(u32) -> f32) -> Self {
+        let aabb = prims.iter().fold(Aabb::EMPTY, |all, &prim| all.union(boxes[prim as usize]));
+        // Half the area of a triangle and a quarter of that of a box: their mean shadows.
+        let share = |&prim: &u32| (2.0 * area(prim) / aabb.area().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let pass: f32 = prims.iter().map(|prim| 1.0 - share(prim)).product();
+        Self { aabb, cost: 1.0, stop: 1.0 - pass }
     }
 }
