@@ -329,8 +329,7 @@ impl Walk {
             self.top += usize::from(wanted != 0);
         } else {
             stats.node(node.len() as u32);
-            self.top =
-                kernel.fan_push(&node.children, &rows, &self.fan, mask, wanted, &mut self.stack, bottom);
+            self.top = kernel.fan_push(node, &rows, &self.fan, mask, wanted, &mut self.stack, bottom);
         }
         // Without a loop over what was pushed, whose length nothing predicts.
         for &child in &self.stack.children[self.top.saturating_sub(3)..self.top] {

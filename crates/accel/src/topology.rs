@@ -206,7 +206,7 @@ struct Child<L> {
     leaf: Option<L>,
 }
 
-/// Up to eight parts of `part`, opening the one of largest area first, largest first in the result.
+/// Up to eight parts of `part`, opening the one of largest area first.
 fn open<L>(part: Part, binary: &Binary, leaf_of: &impl Fn(Part) -> Option<L>, children: &mut Vec<Child<L>>) {
     let child = |part: Part| Child { part, priority: part.priority(binary), leaf: leaf_of(part) };
     children.clear();
@@ -219,7 +219,6 @@ fn open<L>(part: Part, binary: &Binary, leaf_of: &impl Fn(Part) -> Option<L>, ch
         children[index] = child(left);
         children.push(child(right));
     }
-    children.sort_by(|a, b| b.priority.total_cmp(&a.priority));
 }
 
 impl<L> Topology<L> {

@@ -12,7 +12,7 @@ use umbrage_geom::{
     segment_hits_triangle,
 };
 
-/// The leaves whose boxes a segment may enter, boxes of large area first.
+/// The leaves whose boxes a segment may enter, in the order of children.
 ///
 /// An iterator, since closures can't be forced into the function that has the kernel's target features. The stack holds
 /// what is left of each node on the way down, one entry a level.

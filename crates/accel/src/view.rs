@@ -35,7 +35,7 @@ impl Bvh {
 }
 
 impl Bvh {
-    /// Children of node `node` with their boxes, larger boxes first.
+    /// Children of node `node` with their boxes: first those that are likely to stop a ray for what they cost.
     ///
     /// # Panics
     /// If there is no such node.

@@ -136,12 +136,13 @@ pub(crate) trait Kernel: Copy {
     /// See [`umbrage_geom::kernel::fan`].
     fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask;
 
-    /// Pushes those of the `wanted` children that some ray in `left` may enter, each with the rays that may: those that many
-    /// rays enter last, among equals the nearest. Returns the new height of the stack.
+    /// Pushes those of the `wanted` children that some ray in `left` may enter, each with the rays that may, so that the one
+    /// of the largest product of how many do (less a part of one for the distance) and [`Node::merit`] is on top. Returns
+    /// the new height of the stack.
     #[allow(clippy::too_many_arguments)] // the state of one loop
     fn fan_push(
         self,
-        children: &[u32; WIDTH],
+        node: &Node,
         rows: &Rows,
         fan: &Fan,
         left: u32,

@@ -87,7 +87,7 @@ impl Kernel for Scalar {
     #[inline]
     fn fan_push(
         self,
-        children: &[u32; WIDTH],
+        node: &Node,
         rows: &Rows,
         fan: &Fan,
         left: u32,
@@ -103,7 +103,8 @@ impl Kernel for Scalar {
         let key = |i: usize| {
             let middle = [0, 1, 2].map(|axis| rows.0[2 * axis][i] + rows.0[2 * axis + 1][i]);
             let [x, y, z] = [0, 1, 2].map(|axis| fan.ahead.direction[axis] * middle[axis]);
-            columns[i].count_ones() as f32 - (x + y + z + fan.ahead.offset).clamp(0.0, Ahead::MOST)
+            (columns[i].count_ones() as f32 - (x + y + z + fan.ahead.offset).clamp(0.0, Ahead::MOST))
+                * node.merit(i)
         };
         let (bottom, mut keys) = (top, [0.0; WIDTH]);
         for i in (0..WIDTH).filter(|&i| columns[i] != 0) {
@@ -115,7 +116,7 @@ impl Kernel for Scalar {
                 keys[at - bottom] = keys[at - 1 - bottom];
                 at -= 1;
             }
-            (stack.children[at], stack.rays[at], keys[at - bottom]) = (children[i], columns[i], key(i));
+            (stack.children[at], stack.rays[at], keys[at - bottom]) = (node.children[i], columns[i], key(i));
             top += 1;
         }
         top

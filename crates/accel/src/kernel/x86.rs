@@ -195,7 +195,7 @@ fn sort(x: __m256i) -> __m256i {
 #[target_feature(enable = "avx2,fma,bmi1,popcnt")]
 #[allow(clippy::too_many_arguments)] // the state of one loop
 fn fan_push(
-    children: &[u32; WIDTH],
+    node: &Node,
     rows: &Rows,
     fan: &Fan,
     left: u32,
@@ -211,6 +211,10 @@ fn fan_push(
         _mm256_cmpeq_epi32(columns, _mm256_setzero_si256()),
         _mm256_cmpeq_epi32(asked, _mm256_setzero_si256()),
     );
+    // SAFETY: eight bytes.
+    let merits = unsafe { _mm_loadl_epi64(node.merits.as_ptr().cast()) };
+    let merits = _mm256_add_epi32(_mm256_cvtepu8_epi32(merits), _mm256_set1_epi32(Node::LEAST_MERIT as i32));
+    let merits = _mm256_castsi256_ps(_mm256_slli_epi32::<20>(merits));
     let mut way = _mm256_set1_ps(fan.ahead.offset);
     for axis in 0..3 {
         // SAFETY: rows are eight floats, aligned as all of them are.
@@ -221,13 +225,16 @@ fn fan_push(
     }
     let way = _mm256_min_ps(_mm256_max_ps(way, _mm256_setzero_ps()), _mm256_set1_ps(Ahead::MOST));
     // Bits of positive floats sort as integers; the lane takes the place of the lowest ones, what is dropped comes last.
-    let key = _mm256_castps_si256(_mm256_sub_ps(_mm256_cvtepi32_ps(count_ones(columns)), way));
+    let key = _mm256_castps_si256(_mm256_mul_ps(
+        _mm256_sub_ps(_mm256_cvtepi32_ps(count_ones(columns)), way),
+        merits,
+    ));
     let key = _mm256_or_si256(_mm256_andnot_si256(_mm256_set1_epi32(7), key), lanes);
     let order = sort(_mm256_or_si256(key, dropped));
     assert!(top + WIDTH <= stack.rays.len(), "the tree has no more levels than the stack");
     // SAFETY: eight entries from `top` are in the stack, and there are eight children.
     unsafe {
-        let children = _mm256_loadu_si256(children.as_ptr().cast());
+        let children = _mm256_loadu_si256(node.children.as_ptr().cast());
         let children = _mm256_permutevar8x32_epi32(children, order);
         let columns = _mm256_permutevar8x32_epi32(columns, order);
         _mm256_storeu_si256(stack.children.as_mut_ptr().add(top).cast(), children);
@@ -311,7 +318,7 @@ impl Kernel for Avx2 {
     #[inline(always)]
     fn fan_push(
         self,
-        children: &[u32; WIDTH],
+        node: &Node,
         rows: &Rows,
         fan: &Fan,
         left: u32,
@@ -320,7 +327,7 @@ impl Kernel for Avx2 {
         top: usize,
     ) -> usize {
         // SAFETY: `self` proves the target features.
-        unsafe { fan_push(children, rows, fan, left, wanted, stack, top) }
+        unsafe { fan_push(node, rows, fan, left, wanted, stack, top) }
     }
 }
 
