@@ -235,8 +235,11 @@ impl<L> Topology<L> {
             let Range { start, end } = part.range(&binary);
             fits(&binary.order[start as usize..end as usize])
         };
-        let mut nodes = vec![Node::EMPTY];
-        let mut leaves = Vec::new();
+        // About as many as there will be.
+        let mut nodes = Vec::with_capacity(boxes.len() / 16 + 1);
+        nodes.push(Node::EMPTY);
+        let mut leaves = Vec::with_capacity(boxes.len() / 4 + 1);
+        let mut ends = Vec::with_capacity(boxes.len() / 4 + 1);
         // (part, index of its node, level)
         let mut stack = vec![(Part::Node(0), 0, 1)];
         let mut children = Vec::with_capacity(WIDTH);
@@ -251,7 +254,11 @@ impl<L> Topology<L> {
             let bottom = stack.len();
             for (slot, child) in children.drain(..).enumerate() {
                 nodes[index].children[slot] = if let Some(leaf) = child.leaf {
-                    leaves.push((child.part.range(&binary), leaf));
+                    let range = child.part.range(&binary);
+                    // Here, where what it reads has just been read.
+                    let run = &binary.order[range.start as usize..range.end as usize];
+                    ends.push(Subtree::leaf(run, boxes, &area));
+                    leaves.push((range, leaf));
                     LEAF | (leaves.len() - 1) as u32
                 } else {
                     stack.push((child.part, nodes.len(), level + 1));
@@ -262,7 +269,7 @@ impl<L> Topology<L> {
             stack[bottom..].reverse();
         }
         let mut this = Self { nodes, leaves, order: binary.order };
-        this.arrange(boxes, area);
+        this.arrange(&ends);
         this
     }
 
@@ -271,7 +278,7 @@ impl<L> Topology<L> {
     /// Ize and Hansen 2011 (RTSAH), for eight children and taken from the surface: a triangle stops a ray that enters its
     /// leaf with the probability of their mean shadows' ratio. Optical depths add up to opaque after so many triangles that
     /// their form for attenuating ones makes no difference to sums.
-    fn arrange(&mut self, boxes: &[Aabb], area: impl Fn(u32) -> f32) {
+    fn arrange(&mut self, leaves: &[Subtree]) {
         let mut below = vec![Subtree::default(); self.nodes.len()];
         for i in (0..self.nodes.len()).rev() {
             let node = &mut self.nodes[i];
@@ -280,12 +287,7 @@ impl<L> Topology<L> {
             let used = node.children.iter().take_while(|&&child| child != u32::MAX).count();
             for (part, &child) in parts.iter_mut().zip(&node.children[..used]) {
                 let index = (child & !LEAF) as usize;
-                let subtree = if child & LEAF == 0 {
-                    below[index]
-                } else {
-                    let Range { start, end } = self.leaves[index].0;
-                    Subtree::leaf(&self.order[start as usize..end as usize], boxes, &area)
-                };
+                let subtree = if child & LEAF == 0 { below[index] } else { leaves[index] };
                 all = all.union(subtree.aabb);
                 *part = (subtree, child);
             }
