@@ -49,7 +49,7 @@ const QUICK: Effort =
 
 const FULL: Effort = Effort {
     rays: 3_000_000,
-    brute_tests: 2_000_000_000,
+    brute_tests: 200_000_000,
     origins: 2000,
     sample: 20_000,
     sample_tests: 80_000_000,

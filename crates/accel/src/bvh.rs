@@ -224,6 +224,23 @@ impl Bvh {
         self.back_end.run(ClosestHit { bvh: self, ray, stats })
     }
 
+    /// [`Self::closest_hit`] of each ray, each walking alone. With the `rayon` feature, over all threads of the caller's
+    /// pool.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn closest_hits(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
+        assert_eq!(rays.len(), hits.len(), "as many answers as rays");
+        let batch = |(rays, hits)| self.back_end.run(ClosestHits { bvh: self, rays, hits });
+        #[cfg(feature = "rayon")]
+        {
+            use rayon::prelude::*;
+            rays.par_chunks(1 << 11).zip(hits.par_chunks_mut(1 << 11)).for_each(batch);
+        }
+        #[cfg(not(feature = "rayon"))]
+        batch((rays, hits));
+    }
+
     /// Calls `visit` with every triangle hit, exactly once each, in no promised order, until it breaks. Returns what the
     /// last visit returned.
     pub fn for_each_hit(
@@ -410,6 +427,23 @@ impl<S: Statistics> Job for ClosestHit<'_, S> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> Option<Hit> {
         traversal::closest_hit(kernel, self.bvh, self.ray, None, self.stats)
+    }
+}
+
+struct ClosestHits<'a> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
+    hits: &'a mut [Option<Hit>],
+}
+
+impl Job for ClosestHits<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        for (ray, hit) in self.rays.iter().zip(self.hits) {
+            *hit = traversal::closest_hit(kernel, self.bvh, ray, None, &mut ());
+        }
     }
 }
 

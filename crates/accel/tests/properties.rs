@@ -130,6 +130,17 @@ fn agrees(bvh: &Bvh, (positions, triangles): &Soup, rays: &[Ray]) -> Result<(), 
             for (ray, hit) in batch.iter().zip(hits) {
                 prop_assert_eq!(brute::any_hit(positions, triangles, ray), hit, "{:?} {:?}", back_end, ray);
             }
+            let mut closest = vec![None; batch.len()];
+            bvh.closest_hits(batch, &mut closest);
+            for (ray, hit) in batch.iter().zip(closest) {
+                prop_assert_eq!(
+                    brute::closest_hit(positions, triangles, ray),
+                    hit,
+                    "{:?} {:?}",
+                    back_end,
+                    ray
+                );
+            }
             let mut sums = vec![OpticalDepth::OPAQUE; batch.len()];
             bvh.transmittances(batch, depth, &mut sums);
             for (ray, sum) in batch.iter().zip(sums) {
