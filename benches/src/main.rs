@@ -82,9 +82,9 @@ fn main() -> Result<()> {
             volumetric::run(&volumetric::Options { quick, only, pictures }, &mut output)
         }
         "reyes" => {
-            let Arguments { quick, only, size, figure, pictures, .. } = arguments;
+            let Arguments { quick, peers, only, size, figure, pictures, .. } = arguments;
             let size = size.unwrap_or(if quick { 96 } else { 1024 });
-            reyes::run(&reyes::Options { quick, only, size, figure, pictures }, &mut output)
+            reyes::run(&reyes::Options { quick, only, size, figure, peers, pictures }, &mut output)
         }
         other => bail!(
             "unknown suite '{other}', expected anyhit, aomask, prefilter, reyes, stability or volumetric"

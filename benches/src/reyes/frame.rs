@@ -72,7 +72,7 @@ impl Frame {
 }
 
 /// Where in its stratum pixel `(x, y)` samples light `l`.
-fn jitter(x: u32, y: u32, l: usize, i: u32) -> Vec2 {
+pub fn jitter(x: u32, y: u32, l: usize, i: u32) -> Vec2 {
     let seed = combine(pixel_seed(x, y, 7), hash(l as u32 * 64 + i));
     Vec2::new(unit(seed), unit(hash(seed)))
 }

@@ -1,13 +1,18 @@
 //! Suite `reyes`: subdivision surfaces by ray footprint, as in Djeu 2011, chapter 6, and beyond.
 
 mod cracks;
+#[cfg(feature = "embree")]
+mod embree;
 mod figures;
 mod frame;
 mod pictures;
 mod scenes;
 mod study;
 
-use crate::rows::{Output, note};
+use crate::{
+    peer::PeerName,
+    rows::{Output, note},
+};
 use anyhow::Result;
 use frame::Shadows;
 use std::path::PathBuf;
@@ -23,6 +28,8 @@ pub struct Options {
     pub size: u32,
     /// Only figures whose name contains this.
     pub figure: Option<String>,
+    /// Ray casters of others to measure against.
+    pub peers: Vec<PeerName>,
     /// Folder for pictures, instead of rows.
     pub pictures: Option<PathBuf>,
 }
@@ -55,6 +62,12 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             figures::run(&scene, options, &reference, output)?;
             study::run(&scene, options, &reference, output)?;
             study::cracks(&scene, options, &reference, output)?;
+            if options.peers.contains(&PeerName::Embree) && options.wants("embree") {
+                #[cfg(feature = "embree")]
+                embree::run(&scene, options, &reference, output)?;
+                #[cfg(not(feature = "embree"))]
+                return Err(crate::peer::missing());
+            }
         }
     }
     Ok(())
