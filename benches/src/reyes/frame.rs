@@ -44,6 +44,7 @@ pub struct Method {
 }
 
 /// An image and what it took.
+#[derive(Default)]
 pub struct Frame {
     /// Share of light samples seen, 1 where nothing is hit; without lights, distance of the hit.
     pub image: Vec<f32>,

@@ -57,7 +57,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
                 pictures::write(&scene, options.size, folder)?;
                 continue;
             }
-            let level = if scene.control.face_sizes.len() < 100 { 8 } else { 4 };
+            let level = if scene.control.face_sizes.len() < 100 { 8 } else { 6 };
             let reference = frame::Reference::new(&scene, level)?;
             figures::run(&scene, options, &reference, output)?;
             study::run(&scene, options, &reference, output)?;

@@ -6,6 +6,7 @@
 use crate::{
     Surface,
     grid::{GRID_LEVEL, Grid, MAX_VERTICES},
+    length::cell,
     patch::Lattice,
     surface::SIZE,
 };
@@ -107,6 +108,20 @@ impl GridKey {
         [halves[usize::from(upper)]; 2]
     }
 
+    /// Parameters of a vertex of a whole patch, column and row given, once borders are stitched.
+    pub(crate) fn moved(&self, [i, j]: [usize; 2]) -> [f32; 2] {
+        let last = self.levels.map(|l| 1u32 << l);
+        let mut at = [i as u32, j as u32];
+        for edge in 0..4 {
+            let (axis, far) = (edge % 2, edge == 1 || edge == 2);
+            let fixed = if far { last[1 - axis] } else { 0 };
+            if [i as u32, j as u32][1 - axis] == fixed {
+                at[axis] = snap(at[axis], self.levels[axis], self.stitch.get(edge), !far, None);
+            }
+        }
+        [at[0] as f32 * cell(self.levels[0]) as f32, at[1] as f32 * cell(self.levels[1]) as f32]
+    }
+
     /// Whether the part touches edge `edge` of the patch.
     pub(crate) fn touches(&self, edge: usize) -> bool {
         let last = (1u16 << self.depth) - 1;
@@ -122,30 +137,42 @@ impl GridKey {
 impl Surface {
     /// The Reyes operation dice. The same bits for the same key, at any time.
     pub(crate) fn dice(&self, key: &GridKey) -> Grid {
-        let patch = &self.patches[key.patch as usize];
         let ([u0, v0], size) = key.corner();
         let [step_u, step_v] = key.levels.map(|l| SIZE >> l);
         let counts = [(size / step_u) as usize + 1, (size / step_v) as usize + 1];
         let mut positions = [Vec3::ZERO; MAX_VERTICES];
         let positions = &mut positions[..counts[0] * counts[1]];
-        let lattice = Lattice { u0, v0, step_u, step_v, stride: counts[0] };
-        patch.root.fill(SIZE, &lattice, counts, positions, &self.context);
         let mut parameters = [[0f32; 2]; MAX_VERTICES];
+        self.place_vertices(key, counts, positions, &mut parameters);
         let unit = 1.0 / SIZE as f32;
-        if !key.stitch.is_none() {
-            for (i, p) in parameters[..positions.len()].iter_mut().enumerate() {
-                *p = [u0 + (i % counts[0]) as u32 * step_u, v0 + (i / counts[0]) as u32 * step_v]
-                    .map(|x| x as f32 * unit);
-            }
-        }
-        for edge in 0..4 {
-            self.border(key, edge, counts, positions, &mut parameters);
-        }
         let levels = key.levels.map(|l| l - key.depth);
         let moved = (!key.stitch.is_none()).then(|| &parameters[..positions.len()]);
         let start = [u0, v0].map(|x| x as f32 * unit);
         let step = [step_u, step_v].map(|x| x as f32 * unit);
         Grid::new(levels, positions, start, step, moved)
+    }
+
+    /// Writes the vertices of a part and, if it is stitched, their parameters.
+    pub(crate) fn place_vertices(
+        &self,
+        key: &GridKey,
+        counts: [usize; 2],
+        positions: &mut [Vec3],
+        parameters: &mut [[f32; 2]],
+    ) {
+        let ([u0, v0], _) = key.corner();
+        let [step_u, step_v] = key.levels.map(|l| SIZE >> l);
+        let lattice = Lattice { u0, v0, step_u, step_v, stride: counts[0] };
+        self.patches[key.patch as usize].root.fill(SIZE, &lattice, counts, positions, &self.context);
+        if !key.stitch.is_none() {
+            for (i, p) in parameters[..positions.len()].iter_mut().enumerate() {
+                *p = [u0 + (i % counts[0]) as u32 * step_u, v0 + (i / counts[0]) as u32 * step_v]
+                    .map(|x| x as f32 / SIZE as f32);
+            }
+        }
+        for edge in 0..4 {
+            self.border(key, edge, counts, positions, parameters);
+        }
     }
 
     /// Puts the vertices of one border where the neighbour has them too.

@@ -49,7 +49,7 @@ pub(crate) struct GridHit {
 pub(crate) struct GridRay {
     pub(crate) ray: Ray,
     pub(crate) slab: SlabRay,
-    block: BlockRay,
+    pub(crate) block: BlockRay,
 }
 
 impl GridRay {

@@ -28,6 +28,17 @@ impl Avx2 {
         unsafe { above(block, origin, up) }
     }
 
+    /// One bit for each `a[i] <= b[i]`; NaN gives none. Fast only when inlined into a function with these target features.
+    #[inline(always)]
+    pub fn less_or_equal(self, a: &[f32; 8], b: &[f32; 8]) -> u32 {
+        // SAFETY: `self` proves the target features; both are rows of eight.
+        unsafe {
+            let less =
+                _mm256_cmp_ps::<_CMP_LE_OQ>(_mm256_loadu_ps(a.as_ptr()), _mm256_loadu_ps(b.as_ptr()));
+            _mm256_movemask_ps(less) as u32
+        }
+    }
+
     /// Filters a block; see the [module](super).
     ///
     /// Fast only when inlined into a function with these target features.
