@@ -8,7 +8,7 @@ use umbrage_geom::{
     Aabb, TriangleHit,
     glam::Vec3,
     intersect_triangle,
-    kernel::{BlockMask, TriangleLanes, scalar},
+    kernel::{BlockMask, BoxBlock, CellBlock, scalar},
     segment_hits_triangle,
 };
 
@@ -30,93 +30,16 @@ impl Avx2 {
 /// Levels of nodes: the finest patch has `2^22` blocks.
 const MOST_LEVELS: usize = 8;
 
-/// Boxes of up to eight children.
-#[derive(Clone, Copy, Debug)]
-struct Node {
-    base: [f32; 3],
-    /// Powers of two, so that products with numbers are exact.
-    step: [f32; 3],
-    /// Smallest x of each child, largest x, smallest y, ..
-    planes: [[u8; 8]; 6],
-}
-
 /// See the [module](self).
 #[derive(Debug)]
 pub(crate) struct PatchMesh {
     levels: [u8; 2],
     /// Whether borders were moved, so that cells may have collapsed.
     stitched: bool,
-    /// Row by row.
-    positions: Box<[Vec3]>,
+    /// Vertices row by row, one axis after the other, and room for reading four at a time.
+    positions: Box<[f32]>,
     /// From the root down, level by level.
-    nodes: Box<[Node]>,
-}
-
-impl Node {
-    fn new(boxes: &[Aabb]) -> Self {
-        let whole = boxes.iter().fold(Aabb::EMPTY, |all, b| all.union(*b));
-        let mut node = Self { base: [0.0; 3], step: [0.0; 3], planes: [[0; 8]; 6] };
-        for axis in 0..3 {
-            let size = f64::from(whole.max[axis]) - f64::from(whole.min[axis]);
-            // 252 steps and what rounding of the sums takes off at either end.
-            let ulp = f64::from(whole.min[axis].abs().max(whole.max[axis].abs())) * f64::from(f32::EPSILON);
-            let step = power_of_two_above((size + 4.0 * ulp) / 252.0);
-            let base = (f64::from(whole.min[axis]) - f64::from(step)) as f32;
-            let base = if base <= whole.min[axis] { base } else { whole.min[axis] };
-            (node.base[axis], node.step[axis]) = (base, step);
-            for (i, b) in boxes.iter().enumerate() {
-                let at = |q: u8| f32::from(q) * step + base;
-                let number = |x: f32| ((f64::from(x) - f64::from(base)) / f64::from(step)).clamp(0.0, 255.0);
-                let (mut low, mut high) =
-                    (number(b.min[axis]).floor() as u8, number(b.max[axis]).ceil() as u8);
-                while low > 0 && at(low) > b.min[axis] {
-                    low -= 1;
-                }
-                while high < u8::MAX && at(high) < b.max[axis] {
-                    high += 1;
-                }
-                node.planes[2 * axis][i] = low;
-                node.planes[2 * axis + 1][i] = high;
-            }
-        }
-        node
-    }
-
-    /// Children that the segment may enter, a bit each; of no meaning where there is none.
-    #[inline(always)]
-    fn entered(&self, ray: &GridRay, avx2: Option<Avx2>) -> u32 {
-        let slab = &ray.slab;
-        let (mut t0, mut t1) = ([slab.tnear; 8], [slab.tfar; 8]);
-        for axis in 0..3 {
-            let backward = usize::from(slab.inv_near[axis] < 0.0);
-            let (near, far) = (&self.planes[2 * axis + backward], &self.planes[2 * axis + 1 - backward]);
-            let (base, step) = (self.base[axis], self.step[axis]);
-            for i in 0..8 {
-                let (near, far) = (f32::from(near[i]) * step + base, f32::from(far[i]) * step + base);
-                // `max` and `min` return the other operand for NaN.
-                t0[i] = t0[i].max((near - slab.origin_near[axis]) * slab.inv_near[axis]);
-                t1[i] = t1[i].min((far - slab.origin_far[axis]) * slab.inv_far[axis]);
-            }
-        }
-        #[cfg(target_arch = "x86_64")]
-        if let Some(avx2) = avx2 {
-            return avx2.less_or_equal(&t0, &t1);
-        }
-        let _ = avx2;
-        let mut mask = 0;
-        for i in 0..8 {
-            mask |= u32::from(t0[i] <= t1[i]) << i;
-        }
-        mask
-    }
-}
-
-/// The smallest power of two that is at least `x`, as a normal number.
-fn power_of_two_above(x: f64) -> f32 {
-    let x = x.max(f64::from(f32::MIN_POSITIVE));
-    let bits = x.to_bits();
-    let below = f64::from_bits(bits & !((1 << 52) - 1));
-    (if below < x { 2.0 * below } else { below }) as f32
+    nodes: Box<[BoxBlock]>,
 }
 
 /// Every other bit of the lowest 24.
@@ -141,13 +64,18 @@ fn block_at(index: u32, bits: [u32; 2]) -> [u32; 2] {
 
 impl PatchMesh {
     /// From vertices row by row.
-    pub(crate) fn new(levels: [u8; 2], positions: Vec<Vec3>, stitched: bool) -> Self {
+    pub(crate) fn new(levels: [u8; 2], vertices: &[Vec3], stitched: bool) -> Self {
+        let mut positions = Vec::with_capacity(3 * vertices.len() + 2);
+        for axis in 0..3 {
+            positions.extend(vertices.iter().map(|p| p[axis]));
+        }
+        positions.extend([0.0; 2]);
         let mut mesh = Self { levels, stitched, positions: positions.into(), nodes: Box::default() };
         let mut boxes: Vec<Aabb> = (0..mesh.blocks()).map(|block| mesh.block_bounds(block)).collect();
         // From the leaves up, then turned around.
         let mut rows = Vec::new();
         loop {
-            rows.push(boxes.chunks(8).map(Node::new).collect::<Vec<_>>());
+            rows.push(boxes.chunks(8).map(BoxBlock::new).collect::<Vec<_>>());
             if boxes.len() <= 8 {
                 break;
             }
@@ -171,6 +99,16 @@ impl PatchMesh {
         (1 << self.levels[0]) + 1
     }
 
+    fn rows(&self) -> usize {
+        (1 << self.levels[1]) + 1
+    }
+
+    #[inline(always)]
+    fn vertex(&self, index: usize) -> [f32; 3] {
+        let count = self.columns() * self.rows();
+        [self.positions[index], self.positions[count + index], self.positions[2 * count + index]]
+    }
+
     pub(crate) fn levels(&self) -> [u8; 2] {
         self.levels
     }
@@ -186,12 +124,11 @@ impl PatchMesh {
 
     fn block_bounds(&self, block: u32) -> Aabb {
         let [x, y] = block_at(block, self.bits()).map(|i| 2 * i as usize);
-        let columns = self.columns();
-        let rows = self.positions.len() / columns;
+        let [columns, rows] = [self.columns(), self.rows()];
         let mut aabb = Aabb::EMPTY;
         for j in y..=(y + 2).min(rows - 1) {
             for i in x..=(x + 2).min(columns - 1) {
-                aabb = aabb.with_point(self.positions[j * columns + i]);
+                aabb = aabb.with_point(self.vertex(j * columns + i));
             }
         }
         aabb
@@ -210,43 +147,37 @@ impl PatchMesh {
 
     #[inline]
     pub(crate) fn corners(&self, triangle: u32) -> [[f32; 3]; 3] {
-        self.triangle(triangle).map(|v| self.positions[v].to_array())
+        self.triangle(triangle).map(|v| self.vertex(v))
     }
 
-    /// The triangles of a block and the index of the first; those of the second row of cells come `2 * columns` later.
+    /// The triangles of a block and the index of the first; those of the second row of cells come two rows of cells' width
+    /// later.
     #[inline(always)]
-    fn gather(&self, block: u32) -> (TriangleLanes, u32) {
-        let [x, y] = block_at(block, self.bits()).map(|i| 2 * i as usize);
-        let columns = self.columns();
-        let mut lanes = TriangleLanes::EMPTY;
-        let first = y * columns + x;
-        let (wide, high) = (self.levels[0] > 0, self.levels[1] > 0);
-        for j in 0..1 + usize::from(high) {
-            for i in 0..1 + usize::from(wide) {
-                let corner = first + j * columns + i;
-                let [a, b] = [self.positions[corner].to_array(), self.positions[corner + 1].to_array()];
-                let (d, c) = (
-                    self.positions[corner + columns].to_array(),
-                    self.positions[corner + columns + 1].to_array(),
-                );
-                let lane = 4 * j + 2 * i;
-                if !self.stitched {
-                    lanes.set(lane, [a, b, c]);
-                    lanes.set(lane + 1, [a, c, d]);
-                    continue;
-                }
-                // Stitching collapses triangles; left out, they don't cost the exact predicate a proof.
-                if a != c {
-                    if a != b && b != c {
-                        lanes.set(lane, [a, b, c]);
-                    }
-                    if a != d && c != d {
-                        lanes.set(lane + 1, [a, c, d]);
-                    }
+    fn gather(&self, block: u32) -> (CellBlock, u32) {
+        let [x, y] = block_at(block, self.bits());
+        let (x, y) = (2 * x as usize, 2 * y as usize);
+        let [columns, rows] = [self.columns(), self.rows()];
+        let mut vertices = [[[0f32; 4]; 3]; 3];
+        for axis in 0..3 {
+            for j in 0..3 {
+                // A block of one row of cells has no third row of vertices.
+                let start = axis * columns * rows + (y + j).min(rows - 1) * columns + x;
+                if let Some(row) = self.positions[start..].first_chunk() {
+                    vertices[axis][j] = *row;
                 }
             }
         }
-        (lanes, 2 * (y * (columns - 1) + x) as u32)
+        let mut used = 0xff;
+        if self.levels[0] == 0 {
+            used &= 0x33;
+        }
+        if self.levels[1] == 0 {
+            used &= 0x0f;
+        }
+        if self.stitched {
+            used &= !collapsed(&vertices);
+        }
+        (CellBlock::new(vertices, used), 2 * (y * (columns - 1) + x) as u32)
     }
 
     /// Looks for hits: any, or the one with the smallest `t` up to where `ray` ends, into `closest`, with the index of its
@@ -277,7 +208,7 @@ impl PatchMesh {
         let mut stack = [(0u32, 0u32); MOST_LEVELS];
         let mut level = 0;
         let mut node = 0;
-        let mut mask = self.nodes[0].entered(ray, avx2) & ((1u32 << root_children) - 1);
+        let mut mask = entered(&self.nodes[0], ray, avx2) & ((1u32 << root_children) - 1);
         let mut found = false;
         loop {
             if mask == 0 {
@@ -294,7 +225,7 @@ impl PatchMesh {
                 stack[level] = (node, mask);
                 level += 1;
                 node = child;
-                mask = self.nodes[(starts[level] + child) as usize].entered(ray, avx2);
+                mask = entered(&self.nodes[(starts[level] + child) as usize], ray, avx2);
                 continue;
             }
             let (lanes, first) = self.gather(child);
@@ -328,13 +259,43 @@ impl PatchMesh {
     }
 }
 
-/// The best filter that this processor has.
+/// Triangles of a block of which two corners are one point: stitching collapses them, and left out, they don't cost the exact
+/// predicate a proof. One bit each.
 #[inline(always)]
-fn filter(lanes: &TriangleLanes, ray: &GridRay, avx2: Option<Avx2>) -> BlockMask {
+fn collapsed(vertices: &[[[f32; 4]; 3]; 3]) -> u8 {
+    let same = |[i, j]: [usize; 2], [k, l]: [usize; 2]| {
+        vertices[0][j][i] == vertices[0][l][k]
+            && vertices[1][j][i] == vertices[1][l][k]
+            && vertices[2][j][i] == vertices[2][l][k]
+    };
+    let mut mask = 0;
+    for cell in 0..4 {
+        let (i, j) = (cell % 2, cell / 2);
+        let [a, b, c, d] = [[i, j], [i + 1, j], [i + 1, j + 1], [i, j + 1]];
+        let across = same(a, c);
+        let (lower, upper) = (across || same(a, b) || same(b, c), across || same(a, d) || same(c, d));
+        mask |= (u8::from(lower) | u8::from(upper) << 1) << (2 * cell);
+    }
+    mask
+}
+
+/// The best instructions that this processor has.
+#[inline(always)]
+fn filter(cells: &CellBlock, ray: &GridRay, avx2: Option<Avx2>) -> BlockMask {
     #[cfg(target_arch = "x86_64")]
     if let Some(avx2) = avx2 {
-        return avx2.filter(lanes, &ray.block);
+        return avx2.filter(cells, &ray.block);
     }
     let _ = avx2;
-    scalar::filter(lanes, &ray.block)
+    scalar::filter(cells, &ray.block)
+}
+
+#[inline(always)]
+fn entered(boxes: &BoxBlock, ray: &GridRay, avx2: Option<Avx2>) -> u32 {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(avx2) = avx2 {
+        return avx2.entered(boxes, &ray.slab);
+    }
+    let _ = avx2;
+    boxes.entered(&ray.slab)
 }

@@ -171,7 +171,7 @@ impl RatedSurface {
             let mut positions = vec![Vec3::ZERO; counts[0] * counts[1]];
             let mut parameters = vec![[0.0; 2]; positions.len()];
             self.surface.place_vertices(&key, counts, &mut positions, &mut parameters);
-            let mesh = Box::new(PatchMesh::new(key.levels, positions, !key.stitch.is_none()));
+            let mesh = Box::new(PatchMesh::new(key.levels, &positions, !key.stitch.is_none()));
             self.micropolygons.fetch_add(mesh.cells(), Relaxed);
             self.mesh_bytes.fetch_add(mesh.bytes(), Relaxed);
             mesh
