@@ -6,7 +6,7 @@ use crate::{
     kernel::{Job, Kernel, NodeRay},
     node::Tree,
     topology::Topology,
-    traversal::{SortedWalk, just_behind},
+    traversal::{SortedWalk, Walk, just_behind},
 };
 use std::ops::ControlFlow;
 use umbrage_geom::{Aabb, Ray, SlabRay};
@@ -73,6 +73,12 @@ impl BoxBvh {
         self.back_end.run(WalkBoxes { bvh: self, ray, visitor })
     }
 
+    /// [`Self::walk_with`] in no particular order, until the visitor breaks: faster, where any hit ends the walk. Where the
+    /// segment ends, which [`BoxVisitor::visit`] returns, makes no difference.
+    pub fn walk_unsorted(&self, ray: &Ray, visitor: &mut impl BoxVisitor) -> ControlFlow<()> {
+        self.back_end.run(WalkUnsorted(WalkBoxes { bvh: self, ray, visitor }))
+    }
+
     /// Smallest box around all boxes; empty if there are none.
     pub fn bounds(&self) -> Aabb {
         if self.tree.nodes.is_empty() { Aabb::EMPTY } else { self.tree.bounds }
@@ -88,6 +94,29 @@ struct WalkBoxes<'a, V> {
     bvh: &'a BoxBvh,
     ray: &'a Ray,
     visitor: &'a mut V,
+}
+
+struct WalkUnsorted<'a, V>(WalkBoxes<'a, V>);
+
+impl<V: BoxVisitor> Job for WalkUnsorted<'_, V> {
+    type Output = ControlFlow<()>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> ControlFlow<()> {
+        let WalkBoxes { bvh, ray, visitor } = self.0;
+        let Some(slab) = SlabRay::new(ray) else { return ControlFlow::Continue(()) };
+        if bvh.tree.nodes.is_empty() {
+            return ControlFlow::Continue(());
+        }
+        let node = NodeRay::new(slab);
+        let mut walk = Walk::new(kernel, &bvh.tree, &node, &mut ());
+        while let Some(leaf) = walk.next(&mut ()) {
+            if visitor.visit(bvh.prims[leaf]).is_break() {
+                return ControlFlow::Break(());
+            }
+        }
+        ControlFlow::Continue(())
+    }
 }
 
 impl<V: BoxVisitor> Job for WalkBoxes<'_, V> {

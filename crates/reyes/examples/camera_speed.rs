@@ -42,7 +42,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = arguments.next().ok_or("name an OBJ file")?;
     let size: u32 = arguments.next().map_or(Ok(512), |s| s.parse())?;
     let control = read_polygons(Path::new(&path))?;
-    let surface = Arc::new(Surface::build(&control, &SurfaceOptions::default())?);
+    let surface = Arc::new(Surface::build(
+        &control,
+        &SurfaceOptions::default()
+            .with_tight_levels(std::env::var("TIGHT").map_or(1, |t| t.parse().unwrap())),
+    )?);
     let bounds = surface.bounds();
     let eye = bounds.center() + Vec3::new(0.4, 0.35, 1.0).normalize() * bounds.diagonal() * 1.25;
     let forward = (bounds.center() - eye).normalize();
@@ -50,7 +54,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let down = forward.cross(right);
     let light = bounds.center() + Vec3::new(0.5, 1.0, 0.3) * bounds.diagonal();
     let camera = Camera { eye, forward, right, down, size, light };
-    if std::env::var_os("ONCE").is_none() { by_ray(&camera, Arc::clone(&surface), bounds.diagonal())?; }
+    if std::env::var_os("ONCE").is_none() {
+        by_ray(&camera, Arc::clone(&surface), bounds.diagonal())?;
+    }
     once(&camera, surface)
 }
 
@@ -79,7 +85,9 @@ fn by_ray(camera: &Camera, surface: Arc<Surface>, diagonal: f32) -> Result<(), B
 }
 
 fn once(camera: &Camera, surface: Arc<Surface>) -> Result<(), Box<dyn std::error::Error>> {
+    let start = Instant::now();
     let rated = RatedSurface::for_eye(surface, camera.eye, 2.0 * camera.right.length(), 10)?;
+    println!("once: {:.3} s to make", start.elapsed().as_secs_f64());
     for _ in 0..3 {
         let start = Instant::now();
         let hits: Vec<_> =
@@ -93,6 +101,6 @@ fn once(camera: &Camera, surface: Arc<Surface>) -> Result<(), Box<dyn std::error
         }
         camera.report("once", seconds, start.elapsed().as_secs_f64(), hits.len(), blocked);
     }
-    println!("{:?}, {} bytes", rated.counts(), rated.bytes());
+    println!("{} micropolygons, {} bytes", rated.micropolygons(), rated.bytes());
     Ok(())
 }

@@ -3,6 +3,7 @@
 
 mod bucket;
 mod cache;
+mod cells;
 mod diagsplit;
 mod dice;
 mod error;
@@ -12,7 +13,6 @@ mod length;
 mod occluder;
 mod options;
 mod patch;
-mod patch_mesh;
 mod rated;
 mod state;
 mod subdiv;

@@ -2,24 +2,22 @@
 
 use crate::{
     Surface, SurfaceError, SurfaceHit,
+    cells::Cells,
     dice::{GridKey, Stitch},
     grid::GridRay,
     length::{MAX_LEVEL, cell},
-    patch_mesh::{Avx2, PatchMesh},
+    patch::Lattice,
     surface::{LimitPoint, SIZE},
 };
-use std::{
-    ops::ControlFlow,
-    sync::{
-        Arc, OnceLock,
-        atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed},
-    },
-};
+use std::{ops::ControlFlow, sync::Arc};
 use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality};
-use umbrage_geom::{Aabb, Ray, TriangleHit, glam::Vec3};
+use umbrage_geom::{Ray, TriangleHit, glam::Vec3};
 
 /// Segments of an edge or middle line by which its length is measured.
-const SEGMENTS: u32 = 4;
+const SEGMENTS: usize = 2;
+
+/// Boxes up to which the hierarchy is built with care.
+const CAREFUL: usize = 1 << 15;
 
 /// Where a ray meets a [`RatedSurface`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,20 +28,16 @@ pub struct RatedHit {
     pub triangle: u32,
 }
 
-/// A surface whose patches have one rate each, the same for all rays: one watertight mesh, of which only the patches are made
-/// whose boxes some ray enters.
+/// A surface whose patches have one rate each, the same for all rays: one watertight mesh.
 ///
-/// Against [`crate::SurfaceTracer`], which chooses rates by each ray's footprint, nothing has to be decided along a ray, and
-/// nothing is kept but vertices and small boxes. Rates by a camera suit pictures; occluders far from it may be coarser
-/// than a ray that starts beside them would ask for.
+/// Against [`crate::SurfaceTracer`], which chooses rates by each ray's footprint and makes what rays reach, all is made at the
+/// start, nothing has to be decided along a ray, and a micropolygon takes some 15 bytes. Rates by a camera suit pictures;
+/// occluders far from it may be coarser than a ray that starts beside them would ask for.
 pub struct RatedSurface {
     surface: Arc<Surface>,
     bvh: BoxBvh,
     levels: Vec<[u8; 2]>,
-    meshes: Vec<OnceLock<Box<PatchMesh>>>,
-    avx2: Option<Avx2>,
-    micropolygons: AtomicU64,
-    mesh_bytes: AtomicUsize,
+    cells: Cells,
 }
 
 impl RatedSurface {
@@ -59,16 +53,19 @@ impl RatedSurface {
             let value = level.into();
             return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
         }
-        let boxes: Vec<Aabb> = surface.patches.iter().map(|p| p.bounds).collect();
-        Ok(Self {
-            bvh: BoxBvh::build(&boxes, BuildQuality::High)?,
-            meshes: levels.iter().map(|_| OnceLock::new()).collect(),
-            levels,
-            surface,
-            avx2: Avx2::detect(),
-            micropolygons: 0.into(),
-            mesh_bytes: 0.into(),
-        })
+        let mut cells = Cells::new(&levels);
+        let mut boxes = Vec::new();
+        let (mut positions, mut parameters) = (Vec::new(), Vec::new());
+        for patch in 0..surface.patch_count() as u32 {
+            let key = key(&surface, &levels, patch);
+            let counts = key.levels.map(|l| (1usize << l) + 1);
+            positions.resize(counts[0] * counts[1], Vec3::ZERO);
+            parameters.resize(positions.len(), [0.0; 2]);
+            surface.place_vertices(&key, counts, &mut positions, &mut parameters);
+            cells.push(&positions, !key.stitch.is_none(), &mut boxes);
+        }
+        let quality = if boxes.len() <= CAREFUL { BuildQuality::High } else { BuildQuality::Fast };
+        Ok(Self { bvh: BoxBvh::build(&boxes, quality)?, cells, levels, surface })
     }
 
     /// Rates by a camera at `eye`, for which `width` is the size of a micropolygon at distance 1: their edges are about that
@@ -104,25 +101,21 @@ impl RatedSurface {
         self.levels[patch as usize]
     }
 
-    /// Patches and micropolygons made so far.
-    pub fn counts(&self) -> (usize, u64) {
-        let made = self.meshes.iter().filter(|mesh| mesh.get().is_some()).count();
-        (made, self.micropolygons.load(Relaxed))
+    /// Number of micropolygons.
+    pub fn micropolygons(&self) -> u64 {
+        self.levels.iter().map(|l| 1 << (l[0] + l[1])).sum()
     }
 
-    /// Bytes of the hierarchy and of what was made so far, the surface left out.
+    /// Bytes of micropolygons and their hierarchy, the surface left out.
     pub fn bytes(&self) -> usize {
-        size_of_val(&self.levels[..])
-            + size_of_val(&self.meshes[..])
-            + self.bvh.bytes()
-            + self.mesh_bytes.load(Relaxed)
+        size_of_val(&self.levels[..]) + self.bvh.bytes() + self.cells.bytes()
     }
 
     /// Whether the open segment meets the mesh, by `geom`'s exact predicate. Rays that are not [valid](Ray::is_valid) miss.
     pub fn any_hit(&self, ray: &Ray) -> bool {
         let Some(grid_ray) = GridRay::new(ray) else { return false };
         let mut visitor = Visitor::<true> { surface: self, ray: grid_ray, closest: None };
-        self.bvh.walk_with(ray, &mut visitor).is_break()
+        self.bvh.walk_unsorted(ray, &mut visitor).is_break()
     }
 
     /// The hit with the smallest `t`; ties go to the first patch.
@@ -137,7 +130,7 @@ impl RatedSurface {
 
     /// The triangle that was hit.
     pub fn corners(&self, hit: &RatedHit) -> [[f32; 3]; 3] {
-        self.mesh(hit.hit.patch).corners(hit.triangle)
+        self.cells.corners(self.cells.patch(hit.hit.patch), hit.triangle)
     }
 
     /// The limit surface at a hit.
@@ -145,51 +138,27 @@ impl RatedSurface {
         self.surface.limit(hit.hit.patch, hit.hit.u, hit.hit.v)
     }
 
-    fn key(&self, patch: u32) -> GridKey {
-        let levels = self.levels[patch as usize];
-        let mut stitch = Stitch::default();
-        for edge in 0..4 {
-            stitch = stitch.with(edge, self.surface.static_shifts(patch as usize, edge, &self.levels));
-        }
-        GridKey { patch, depth: 0, levels, place: [0, 0], stitch }
-    }
-
-    #[inline]
-    fn mesh(&self, patch: u32) -> &PatchMesh {
-        match self.meshes[patch as usize].get() {
-            Some(mesh) => mesh,
-            None => self.make(patch),
-        }
-    }
-
-    /// Threads may make the same patch; one of the meshes, which are equal, is kept.
-    #[cold]
-    fn make(&self, patch: u32) -> &PatchMesh {
-        self.meshes[patch as usize].get_or_init(|| {
-            let key = self.key(patch);
-            let counts = key.levels.map(|l| (1usize << l) + 1);
-            let mut positions = vec![Vec3::ZERO; counts[0] * counts[1]];
-            let mut parameters = vec![[0.0; 2]; positions.len()];
-            self.surface.place_vertices(&key, counts, &mut positions, &mut parameters);
-            let mesh = Box::new(PatchMesh::new(key.levels, &positions, !key.stitch.is_none()));
-            self.micropolygons.fetch_add(mesh.cells(), Relaxed);
-            self.mesh_bytes.fetch_add(mesh.bytes(), Relaxed);
-            mesh
-        })
-    }
-
     /// Parameters at barycentric weights of the second and third corner of a triangle.
     fn parameters(&self, patch: u32, triangle: u32, second: f32, third: f32) -> (f32, f32) {
-        let mesh = self.mesh(patch);
-        let key = self.key(patch);
-        let columns = (1usize << mesh.levels()[0]) + 1;
-        let [a, b, c] = mesh.triangle(triangle).map(|v| key.moved([v % columns, v / columns]));
+        let key = key(&self.surface, &self.levels, patch);
+        let columns = (1usize << key.levels[0]) + 1;
+        let [a, b, c] =
+            self.cells.patch(patch).triangle(triangle).map(|v| key.moved([v % columns, v / columns]));
         let mix = |k: usize| a[k] * (1.0 - second - third) + b[k] * second + c[k] * third;
         (mix(0).clamp(0.0, 1.0), mix(1).clamp(0.0, 1.0))
     }
 }
 
-/// Looks for hits patch by patch.
+/// The whole patch, its borders as coarse as its neighbours'.
+fn key(surface: &Surface, levels: &[[u8; 2]], patch: u32) -> GridKey {
+    let mut stitch = Stitch::default();
+    for edge in 0..4 {
+        stitch = stitch.with(edge, surface.static_shifts(patch as usize, edge, levels));
+    }
+    GridKey { patch, depth: 0, levels: levels[patch as usize], place: [0, 0], stitch }
+}
+
+/// Looks for hits node by node.
 struct Visitor<'a, const ANY: bool> {
     surface: &'a RatedSurface,
     ray: GridRay,
@@ -199,15 +168,18 @@ struct Visitor<'a, const ANY: bool> {
 
 impl<const ANY: bool> BoxVisitor for Visitor<'_, ANY> {
     #[inline(always)]
-    fn visit(&mut self, patch: u32) -> ControlFlow<(), f32> {
-        let mesh = self.surface.mesh(patch);
+    fn visit(&mut self, node: u32) -> ControlFlow<(), f32> {
+        let cells = &self.surface.cells;
         let mut found = None;
-        if mesh.trace::<ANY>(&mut self.ray, &mut found, self.surface.avx2) && ANY {
+        if cells.trace::<ANY>(node, &mut self.ray, &mut found) && ANY {
             return ControlFlow::Break(());
         }
         if let Some((hit, triangle)) = found {
+            let patch = cells.patch_of(node);
             let nearer = match &self.closest {
-                Some((old_patch, old, _)) => hit.t < old.t || (hit.t == old.t && patch < *old_patch),
+                Some((old_patch, old, old_triangle)) => {
+                    hit.t < old.t || (hit.t == old.t && (patch, triangle) < (*old_patch, *old_triangle))
+                }
                 None => true,
             };
             if nearer {
@@ -224,35 +196,32 @@ impl<const ANY: bool> BoxVisitor for Visitor<'_, ANY> {
 impl Surface {
     /// Levels at which the edges of micropolygons are about as long as `width` times their distance from `eye`.
     fn levels_for_eye(&self, patch: u32, eye: Vec3, width: f64, max_level: u8) -> [u8; 2] {
+        const LINE: usize = SEGMENTS + 1;
         let least = self.least_level(patch);
+        let most = max_level.max(least);
+        let mut points = [Vec3::ZERO; LINE * LINE];
+        let step = SIZE / SEGMENTS as u32;
+        let lattice = Lattice { u0: 0, v0: 0, step_u: step, step_v: step, stride: LINE };
+        self.patches[patch as usize].root.fill(SIZE, &lattice, [LINE; 2], &mut points, &self.context);
+        let eye = eye.as_dvec3();
         let mut levels = [least; 2];
-        for axis in 0..2 {
-            // Edges and the line between them, `axis` along it.
-            for line in 0..3 {
-                let point = |i: u32| {
-                    let s = i * (SIZE / SEGMENTS);
-                    match line {
-                        0 => self.edge_position(patch, axis, s),
-                        1 => self.edge_position(patch, axis + 2, SIZE - s),
-                        _ => {
-                            let (u, v) = if axis == 0 { (s, SIZE / 2) } else { (SIZE / 2, s) };
-                            self.patches[patch as usize].root.position(u, v, SIZE, &self.context)
-                        }
-                    }
-                };
-                let mut before = point(0).as_dvec3();
-                let (mut longest, mut nearest) = (0f64, before.distance(eye.as_dvec3()));
-                for i in 1..=SEGMENTS {
-                    let next = point(i).as_dvec3();
-                    longest = longest.max(next.distance(before));
-                    nearest = nearest.min(next.distance(eye.as_dvec3()));
-                    before = next;
-                }
-                let length = longest * f64::from(SEGMENTS) * std::f64::consts::FRAC_1_SQRT_2;
-                let most = max_level.max(least);
-                let fits = |&l: &u8| length * cell(l) <= nearest * width;
-                levels[axis] = levels[axis].max((least..most).find(fits).unwrap_or(most));
+        for (axis, line) in (0..2).flat_map(|axis| (0..LINE).map(move |line| (axis, line))) {
+            let point = |i: usize| {
+                let [u, v] = if axis == 0 { [i, line] } else { [line, i] };
+                points[v * LINE + u].as_dvec3()
+            };
+            let mut before = point(0);
+            let (mut longest, mut nearest) = (0f64, before.distance(eye));
+            for i in 1..LINE {
+                let next = point(i);
+                longest = longest.max(next.distance(before));
+                nearest = nearest.min(next.distance(eye));
+                before = next;
             }
+            // To the nearest power of two.
+            let length = longest * SEGMENTS as f64 * std::f64::consts::FRAC_1_SQRT_2;
+            let fits = |&l: &u8| length * cell(l) <= nearest * width;
+            levels[axis] = levels[axis].max((least..most).find(fits).unwrap_or(most));
         }
         levels
     }

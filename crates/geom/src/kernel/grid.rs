@@ -64,9 +64,8 @@ impl BoxBlock {
     /// # Panics
     /// If `child` is not below [`LANES`].
     pub fn child(&self, child: usize) -> Aabb {
-        let at = |row: usize| {
-            [0, 1, 2].map(|axis| self.plane(axis, self.planes[2 * axis + row][child])).into()
-        };
+        let at =
+            |row: usize| [0, 1, 2].map(|axis| self.plane(axis, self.planes[2 * axis + row][child])).into();
         Aabb { min: at(0), max: at(1) }
     }
 
