@@ -171,7 +171,7 @@ impl Cells {
     }
 
     #[inline(always)]
-    fn vertex(&self, patch: &PatchCells, index: usize) -> [f32; 3] {
+    pub(crate) fn vertex(&self, patch: &PatchCells, index: usize) -> [f32; 3] {
         let (numbers, count) = (&self.numbers[patch.first_number..], patch.vertices());
         [numbers[index], numbers[count + index], numbers[2 * count + index]]
     }

@@ -1,5 +1,5 @@
 #![doc = include_str!("../README.md")]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 mod bucket;
 mod cache;
@@ -9,6 +9,7 @@ mod dice;
 mod error;
 mod footprint;
 mod grid;
+mod kernel;
 mod length;
 mod occluder;
 mod options;

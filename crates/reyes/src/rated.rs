@@ -9,9 +9,9 @@ use crate::{
     patch::Lattice,
     surface::{LimitPoint, SIZE},
 };
-use std::{ops::ControlFlow, sync::Arc};
+use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
 use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality};
-use umbrage_geom::{Ray, TriangleHit, glam::Vec3};
+use umbrage_geom::{Ray, TriangleHit, TriangleMesh, glam::Vec3};
 
 /// Segments of an edge or middle line by which its length is measured.
 const SEGMENTS: usize = 2;
@@ -73,7 +73,8 @@ impl RatedSurface {
     /// lines of each patch. At most `max_level` halvings, also where the eye is on the surface.
     ///
     /// # Errors
-    /// As [`Self::new`]; [`SurfaceError::Option`] if the width is not positive or the eye not finite.
+    /// As [`Self::new`]; [`SurfaceError::Option`] if the width is not positive, the eye not finite or the level beyond
+    /// [`MAX_LEVEL`].
     pub fn for_eye(
         surface: Arc<Surface>,
         eye: Vec3,
@@ -83,6 +84,10 @@ impl RatedSurface {
         if !(width > 0.0 && width.is_finite() && eye.is_finite()) {
             let value = width.into();
             return Err(SurfaceError::Option { name: "width", value, expected: "a positive number" });
+        }
+        if max_level > MAX_LEVEL {
+            let value = max_level.into();
+            return Err(SurfaceError::Option { name: "max_level", value, expected: "0 to 12" });
         }
         let rates = Arc::clone(&surface);
         Self::new(surface, |patch| rates.levels_for_eye(patch, eye, f64::from(width), max_level))
@@ -136,6 +141,47 @@ impl RatedSurface {
     /// The limit surface at a hit.
     pub fn limit(&self, hit: &RatedHit) -> LimitPoint {
         self.surface.limit(hit.hit.patch, hit.hit.u, hit.hit.v)
+    }
+
+    /// All micropolygons as one mesh with the limit surface's normals and texture coordinates: vertices of the same bits are
+    /// one, and cells that stitching collapsed are left out. Triangles of a face of the control mesh are together, in its
+    /// order.
+    pub fn to_mesh(&self) -> TriangleMesh {
+        let mut mesh = TriangleMesh::default();
+        let mut known: HashMap<[u32; 3], u32> = HashMap::new();
+        let has_uvs = self.surface.uv(0, 0.0, 0.0).is_some();
+        for patch in 0..self.levels.len() as u32 {
+            let (cells, key) = (self.cells.patch(patch), key(&self.surface, &self.levels, patch));
+            let columns = (1usize << key.levels[0]) + 1;
+            let rows = (1usize << key.levels[1]) + 1;
+            let mut indices = Vec::with_capacity(columns * rows);
+            let mut normals = Vec::with_capacity(columns * rows);
+            let mut uvs = Vec::new();
+            for v in 0..columns * rows {
+                // Adding 0 makes one of both zeros.
+                let position = self.cells.vertex(cells, v).map(|x| x + 0.0);
+                indices.push(*known.entry(position.map(f32::to_bits)).or_insert_with(|| {
+                    mesh.positions.push(position);
+                    mesh.positions.len() as u32 - 1
+                }));
+                let [s, t] = key.moved([v % columns, v / columns]);
+                normals.push(self.surface.limit(patch, s, t).normal.to_array());
+                uvs.extend(self.surface.uv(patch, s, t).map(|uv| uv.to_array()));
+            }
+            for triangle in 0..2 << (key.levels[0] + key.levels[1]) {
+                let corners = cells.triangle(triangle);
+                let [a, b, c] = corners.map(|v| indices[v]);
+                if a == b || b == c || c == a {
+                    continue;
+                }
+                mesh.triangles.push([a, b, c]);
+                mesh.corner_normals.push(corners.map(|v| normals[v]));
+                if has_uvs {
+                    mesh.corner_uvs.push(corners.map(|v| uvs[v]));
+                }
+            }
+        }
+        mesh
     }
 
     /// Parameters at barycentric weights of the second and third corner of a triangle.

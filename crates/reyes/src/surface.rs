@@ -2,6 +2,7 @@
 
 use crate::{
     SurfaceError,
+    kernel::Kernel,
     length::Lengths,
     patch::{Kind, Node, Ring, TreeContext},
     subdiv::{BoundaryRule, CreaseMethod, NONE, SubdivisionMesh},
@@ -10,6 +11,7 @@ use std::{
     collections::HashMap,
     sync::{OnceLock, atomic::Ordering::Relaxed},
 };
+use umbrage_accel::BackEnd;
 use umbrage_geom::{
     Aabb, PolygonMesh,
     glam::{DVec3, Vec2, Vec3},
@@ -33,6 +35,9 @@ pub struct SurfaceOptions {
     /// Bytes that parts of patches may take in all, those of the control mesh left out; what does not fit is computed
     /// again each time.
     pub tree_bytes: usize,
+    /// Which instructions points are computed with; they don't depend on it. Where the processor has them not, plain code
+    /// serves.
+    pub back_end: BackEnd,
 }
 
 impl Default for SurfaceOptions {
@@ -43,6 +48,7 @@ impl Default for SurfaceOptions {
             bounds: Bounds::default(),
             tight_levels: 1,
             tree_bytes: 256 << 20,
+            back_end: BackEnd::best(),
         }
     }
 }
@@ -76,6 +82,12 @@ impl SurfaceOptions {
     #[must_use]
     pub fn with_tree_bytes(self, tree_bytes: usize) -> Self {
         Self { tree_bytes, ..self }
+    }
+
+    /// With another [`Self::back_end`].
+    #[must_use]
+    pub fn with_back_end(self, back_end: BackEnd) -> Self {
+        Self { back_end, ..self }
     }
 }
 
@@ -211,6 +223,7 @@ impl Surface {
     fn from_mesh(mesh: &SubdivisionMesh, options: &SurfaceOptions) -> Self {
         let context = TreeContext {
             method: mesh.crease_method(),
+            kernel: Kernel::new(options.back_end),
             bezier_bounds: options.bounds == Bounds::Bezier,
             limit: options.tree_bytes,
             bytes: 0.into(),
