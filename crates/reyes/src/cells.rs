@@ -66,27 +66,33 @@ fn block_at(index: u32, bits: [u32; 2]) -> [usize; 2] {
     let low = index & ((1 << (2 * square)) - 1);
     let high = index >> (2 * square) << square;
     let [x, y] = [compact(low), compact(low >> 1)];
-    if bits[0] > bits[1] { [x | high, y] } else { [x, y | high] }.map(|i| i as usize)
+    // Not by `map`, which is not inlined into functions with target features.
+    if bits[0] > bits[1] { [(x | high) as usize, y as usize] } else { [x as usize, (y | high) as usize] }
 }
 
 impl PatchCells {
+    #[inline(always)]
     fn bits(&self) -> [u32; 2] {
-        self.levels.map(|l| u32::from(l.saturating_sub(1)))
+        [u32::from(self.levels[0].saturating_sub(1)), u32::from(self.levels[1].saturating_sub(1))]
     }
 
+    #[inline(always)]
     fn blocks(&self) -> u32 {
         let [a, b] = self.bits();
         1 << (a + b)
     }
 
+    #[inline(always)]
     fn columns(&self) -> usize {
         (1 << self.levels[0]) + 1
     }
 
+    #[inline(always)]
     fn rows(&self) -> usize {
         (1 << self.levels[1]) + 1
     }
 
+    #[inline(always)]
     fn vertices(&self) -> usize {
         self.columns() * self.rows()
     }

@@ -196,25 +196,30 @@ impl Surface {
         // The fixed parameter.
         let far = edge == 1 || edge == 2;
         let fixed = [u0, v0][1 - axis] + if far { size } else { 0 };
+        let index = |i: usize| match edge {
+            0 => i,
+            1 => i * counts[0] + counts[0] - 1,
+            2 => (counts[1] - 1) * counts[0] + i,
+            _ => i * counts[0],
+        };
+        // A whole edge at once: around extraordinary vertices each point alone costs a way down the tree.
+        let row = (key.depth == 0).then(|| self.edge_row(key.patch, edge, level, |i| positions[index(i)]));
         for i in 0..counts[axis] {
             // With the diagonal that cells have, ties go to where triangles stay short.
             let at = snap((start / step) + i as u32, level, shifts, !far, key.stitch.line(edge)) * step;
-            let index = match edge {
-                0 => i,
-                1 => i * counts[0] + counts[0] - 1,
-                2 => (counts[1] - 1) * counts[0] + i,
-                _ => i * counts[0],
-            };
             let (u, v) = if axis == 0 { (at, fixed) } else { (fixed, at) };
             let is_corner = i == 0 || i + 1 == counts[axis];
             let stays = at == start + i as u32 * step;
             let moved = [u, v].map(|x| x as f32 / SIZE as f32);
-            if is_corner && stays && !key.stitch.is_none() && parameters[index] != moved {
+            if is_corner && stays && !key.stitch.is_none() && parameters[index(i)] != moved {
                 // The other border at this corner has moved it.
                 continue;
             }
-            positions[index] = self.border_position(key, edge, at);
-            parameters[index] = moved;
+            positions[index(i)] = match &row {
+                Some(row) => row[(at / step) as usize],
+                None => self.border_position(key, edge, at),
+            };
+            parameters[index(i)] = moved;
         }
     }
 

@@ -53,6 +53,7 @@ pub(crate) struct GridRay {
 }
 
 impl GridRay {
+    #[inline(always)]
     pub(crate) fn new(ray: &Ray) -> Option<Self> {
         Some(Self { ray: *ray, slab: SlabRay::new(ray)?, block: BlockRay::new(ray)? })
     }

@@ -11,7 +11,7 @@ use crate::{
 };
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
 use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality};
-use umbrage_geom::{Ray, TriangleHit, TriangleMesh, glam::Vec3};
+use umbrage_geom::{MeshError, Ray, TriangleHit, TriangleMesh, glam::Vec3, mesh::MAX_ELEMENTS};
 
 /// Segments of an edge or middle line by which its length is measured.
 const SEGMENTS: usize = 2;
@@ -44,7 +44,8 @@ impl RatedSurface {
     /// Each patch divided into `2^levels` cells along `u` and `v`, raised to what quadrilaterals beside other faces need.
     ///
     /// # Errors
-    /// [`SurfaceError::Option`] for a level beyond [`MAX_LEVEL`]; [`SurfaceError::Build`].
+    /// [`SurfaceError::Option`] for a level beyond [`MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices;
+    /// [`SurfaceError::Build`].
     pub fn new(surface: Arc<Surface>, levels_of: impl Fn(u32) -> [u8; 2]) -> Result<Self, SurfaceError> {
         let levels: Vec<[u8; 2]> = (0..surface.patch_count() as u32)
             .map(|i| levels_of(i).map(|l| l.max(surface.least_level(i))))
@@ -52,6 +53,10 @@ impl RatedSurface {
         if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
             let value = level.into();
             return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
+        }
+        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
+        if count > MAX_ELEMENTS / 2 {
+            return Err(MeshError::TooMany { what: "vertices", count }.into());
         }
         let mut cells = Cells::new(&levels);
         let mut boxes = Vec::new();

@@ -4,7 +4,7 @@ use crate::{
     SurfaceError,
     kernel::Kernel,
     length::Lengths,
-    patch::{Kind, Node, Ring, TreeContext},
+    patch::{Kind, Lattice, Node, Ring, TreeContext},
     subdiv::{BoundaryRule, CreaseMethod, NONE, SubdivisionMesh},
 };
 use std::{
@@ -338,6 +338,67 @@ impl Surface {
         };
         let (u, v) = on_edge(edge, s);
         self.patches[owner as usize].root.position(u, v, SIZE, &self.context)
+    }
+}
+
+impl Surface {
+    /// The points of an edge cut into `2^level`, by increasing parameter, with the bits of [`Self::edge_position`]. `own` are
+    /// those that the patch itself has there.
+    pub(crate) fn edge_row(
+        &self,
+        patch: u32,
+        edge: usize,
+        level: u8,
+        own: impl Fn(usize) -> Vec3,
+    ) -> Vec<Vec3> {
+        let (count, step) = (1usize << level, SIZE >> level);
+        let mut row = vec![Vec3::ZERO; count + 1];
+        // From the start of the edge; edges 2 and 3 run against the parameters.
+        row[0] = self.corner(patch, edge);
+        row[count] = self.corner(patch, edge + 1);
+        let middle = count.div_ceil(2);
+        for (half, places) in [1..middle, middle..count].into_iter().enumerate() {
+            let link = self.patches[patch as usize].links[edge][half];
+            let foreign = link.patch != NONE;
+            // Where the owner has place `i`: from `base` downwards.
+            let (base, stride) = match link.meeting {
+                Meeting::OwnIsHalf { upper } if foreign => (if upper { SIZE } else { SIZE / 2 }, step / 2),
+                Meeting::Whole if foreign && link.patch < patch => (SIZE, step),
+                _ => {
+                    for i in places {
+                        row[i] = own(if edge < 2 { i } else { count - i });
+                    }
+                    continue;
+                }
+            };
+            if places.is_empty() {
+                continue;
+            }
+            let first = base - (places.end - 1) as u32 * stride;
+            let last = base - places.start as u32 * stride;
+            let against = link.edge >= 2;
+            let (start, points) = (if against { SIZE - last } else { first }, &mut row[places]);
+            let fixed = if link.edge == 1 || link.edge == 2 { SIZE } else { 0 };
+            let (u0, v0, counts) = if link.edge.is_multiple_of(2) {
+                (start, fixed, [points.len(), 1])
+            } else {
+                (fixed, start, [1, points.len()])
+            };
+            let lattice = Lattice { u0, v0, step_u: stride, step_v: stride, stride: counts[0] };
+            self.patches[link.patch as usize].root.fill(SIZE, &lattice, counts, points, &self.context);
+            // Places run downwards along the owner's edge.
+            if !against {
+                points.reverse();
+            }
+        }
+        let link = self.patches[patch as usize].links[edge][0];
+        if count > 1 && link.patch != NONE && link.meeting == Meeting::OtherIsHalf {
+            row[count / 2] = self.corner(link.patch, 3);
+        }
+        if edge >= 2 {
+            row.reverse();
+        }
+        row
     }
 }
 
