@@ -4,9 +4,9 @@
 //! has too. Cells there degenerate, the grid keeps its shape, and both sides have the same segments, bit for bit.
 
 use crate::{
-    Surface,
+    Surface, SurfaceError,
     grid::{GRID_LEVEL, Grid, MAX_VERTICES},
-    length::cell,
+    length::{MAX_LEVEL, cell},
     patch::Lattice,
     surface::SIZE,
 };
@@ -135,6 +135,32 @@ impl GridKey {
 }
 
 impl Surface {
+    /// The Reyes operation dice of a whole patch without neighbours: `2^levels` cells along `u` and `v`, points of the limit
+    /// surface row by row, written over `points`.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Option`] for a patch that does not exist or a level beyond [`MAX_LEVEL`].
+    pub fn dice_patch(
+        &self,
+        patch: u32,
+        levels: [u8; 2],
+        points: &mut Vec<Vec3>,
+    ) -> Result<(), SurfaceError> {
+        let option = |name, value, expected| Err(SurfaceError::Option { name, value, expected });
+        if patch as usize >= self.patch_count() {
+            return option("patch", patch.into(), "less than the number of patches");
+        }
+        if let Some(&level) = levels.iter().find(|&&l| l > MAX_LEVEL) {
+            return option("level", level.into(), "0 to 12");
+        }
+        let counts = levels.map(|l| (1usize << l) + 1);
+        let [step_u, step_v] = levels.map(|l| SIZE >> l);
+        points.resize(counts[0] * counts[1], Vec3::ZERO);
+        let lattice = Lattice { u0: 0, v0: 0, step_u, step_v, stride: counts[0] };
+        self.patches[patch as usize].root.fill(SIZE, &lattice, counts, points, &self.context);
+        Ok(())
+    }
+
     /// The Reyes operation dice. The same bits for the same key, at any time.
     pub(crate) fn dice(&self, key: &GridKey) -> Grid {
         let ([u0, v0], size) = key.corner();
