@@ -159,7 +159,7 @@ pub(crate) struct Patch {
     pub(crate) lengths: Lengths,
     pub(crate) bounds: Aabb,
     /// See [`Surface::edge_points`].
-    edge_points: [OnceLock<[Vec3; 5]>; 4],
+    edge_points: [OnceLock<Box<[Vec3; 5]>>; 4],
 }
 
 /// Numbers of Reyes operations done on a surface (Djeu 2011, section 5.4); see also [`crate::TraceCounts`].
@@ -318,7 +318,9 @@ impl Surface {
     /// Points at quarters of an edge.
     pub(crate) fn edge_points(&self, patch: u32, edge: usize) -> [Vec3; 5] {
         let known = &self.patches[patch as usize].edge_points[edge];
-        *known.get_or_init(|| [0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (SIZE / 4))))
+        **known.get_or_init(|| {
+            Box::new([0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (SIZE / 4))))
+        })
     }
 
     /// The point at `s` of [`SIZE`] along an edge: the same bits from both sides.

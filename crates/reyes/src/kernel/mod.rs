@@ -11,24 +11,27 @@ use umbrage_accel::BackEnd;
 use umbrage_geom::glam::Vec3;
 
 /// Columns evaluated together.
-pub(crate) const LANES: usize = 16;
+pub(crate) const LANES: usize = 8;
+
+/// Their coordinates, x, y, z of each in turn, as points lie in memory.
+const NUMBERS: usize = 3 * LANES;
 
 /// Fewer columns than this are not worth the room of [`LANES`].
 const FEW: usize = 4;
 
-/// Weights of four control points for up to [`LANES`] columns.
+/// Weights of four control points for up to [`LANES`] columns, three times each.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Columns([[f32; LANES]; 4]);
+pub(crate) struct Columns([[f32; NUMBERS]; 4]);
 
 impl Columns {
     /// No columns.
-    pub(crate) const NONE: Self = Self([[0.0; LANES]; 4]);
+    pub(crate) const NONE: Self = Self([[0.0; NUMBERS]; 4]);
 
     pub(crate) fn new(weights: &[[f32; 4]]) -> Self {
         let mut columns = Self::NONE;
         for (lane, weights) in weights.iter().take(LANES).enumerate() {
             for (row, &w) in columns.0.iter_mut().zip(weights) {
-                row[lane] = w;
+                row[3 * lane..3 * lane + 3].fill(w);
             }
         }
         columns
@@ -74,23 +77,30 @@ impl Kernel {
 /// [`Kernel::row`] in lanes, for shells with target features.
 #[inline(always)]
 fn row_in_lanes(curve: &[Vec3; 4], columns: &[Columns], row: &mut [Vec3]) {
-    let mut control = [[0f32; 4]; 3];
-    for (i, p) in curve.iter().enumerate() {
-        control[0][i] = p.x;
-        control[1][i] = p.y;
-        control[2][i] = p.z;
-    }
-    for (columns, row) in columns.iter().zip(row.chunks_mut(LANES)) {
-        let mut points = [[0f32; LANES]; 3];
-        let w = &columns.0;
-        for axis in 0..3 {
-            let [a, b, c, d] = control[axis];
-            for i in 0..LANES {
-                points[axis][i] = ((a * w[0][i] + b * w[1][i]) + c * w[2][i]) + d * w[3][i];
-            }
+    let mut control = [[0f32; NUMBERS]; 4];
+    for (numbers, p) in control.iter_mut().zip(curve) {
+        for lane in 0..LANES {
+            numbers[3 * lane] = p.x;
+            numbers[3 * lane + 1] = p.y;
+            numbers[3 * lane + 2] = p.z;
         }
-        for (i, p) in row.iter_mut().enumerate() {
-            *p = Vec3::new(points[0][i % LANES], points[1][i % LANES], points[2][i % LANES]);
+    }
+    let [a, b, c, d] = &control;
+    for (columns, row) in columns.iter().zip(row.chunks_mut(LANES)) {
+        let w = &columns.0;
+        let mut numbers = [0f32; NUMBERS];
+        for i in 0..NUMBERS {
+            numbers[i] = ((a[i] * w[0][i] + b[i] * w[1][i]) + c[i] * w[2][i]) + d[i] * w[3][i];
+        }
+        if let Ok(row) = <&mut [Vec3; LANES]>::try_from(&mut *row) {
+            // Of fixed length, so that it becomes a copy.
+            for i in 0..LANES {
+                row[i] = Vec3::new(numbers[3 * i], numbers[3 * i + 1], numbers[3 * i + 2]);
+            }
+        } else {
+            for (p, n) in row.iter_mut().zip(numbers.chunks_exact(3)) {
+                *p = Vec3::new(n[0], n[1], n[2]);
+            }
         }
     }
 }

@@ -363,7 +363,7 @@ fn fill_regular(
         f64::from(start + i as u32 * step - origin) / f64::from(place.size)
     };
     // A row of a grid and a bit more; longer rows come in pieces.
-    const PIECE: usize = 4 * LANES;
+    const PIECE: usize = 8 * LANES;
     let mut weights_known = [[0f32; 4]; PIECE];
     let mut first = us.start;
     while first < us.end {
