@@ -10,9 +10,7 @@ use umbrage_geom::{
     offset_origin,
     sampling::{combine, hash, pixel_seed, unit},
 };
-use umbrage_reyes::{
-    LastOccluder, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
-};
+use umbrage_reyes::{RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState};
 
 /// How shadow rays are traced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

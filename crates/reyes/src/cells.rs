@@ -196,12 +196,12 @@ impl Cells {
         let (x, y) = (2 * x, 2 * y);
         let [columns, rows] = [patch.columns(), patch.rows()];
         let mut vertices = [[[0f32; 4]; 3]; 3];
-        for axis in 0..3 {
-            for j in 0..3 {
+        for (axis, rows_of_axis) in vertices.iter_mut().enumerate() {
+            for (j, place) in rows_of_axis.iter_mut().enumerate() {
                 // A block of one row of cells has no third row of vertices.
                 let row = axis * columns * rows + (y + j).min(rows - 1) * columns + x;
                 if let Some(row) = self.numbers[patch.first_number + row..].first_chunk() {
-                    vertices[axis][j] = *row;
+                    *place = *row;
                 }
             }
         }
