@@ -9,7 +9,7 @@ use umbrage_geom::PolygonMesh;
 use umbrage_reyes::{Surface, SurfaceOptions};
 
 /// Name of the rows' figure.
-const NAME: &str = "dice";
+pub const NAME: &str = "dice";
 
 /// Levels of the grids.
 const LEVELS: [u8; 4] = [3, 5, 7, 9];

@@ -56,6 +56,9 @@ impl Options {
 pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     if options.pictures.is_none() && options.only.is_none() {
         dice::run(options, output)?;
+        if options.figure.as_deref() == Some(dice::NAME) {
+            return Ok(());
+        }
     }
     for scene in scenes::all()? {
         if options.only.as_ref().is_none_or(|only| scene.name.contains(only.as_str())) {
