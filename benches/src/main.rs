@@ -5,6 +5,8 @@ mod aomask;
 #[cfg(feature = "embree")]
 mod embree;
 mod entry;
+#[cfg(feature = "embree")]
+mod memory;
 mod peer;
 mod prefilter;
 mod reyes;
@@ -47,6 +49,9 @@ struct Arguments {
     /// Only figures of suite reyes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     figure: Option<String>,
+    /// Folder for plots of suite reyes, beside rows.
+    #[arg(long, value_name = "FOLDER")]
+    plots: Option<PathBuf>,
     /// Folder for pictures; suites aomask, reyes and volumetric.
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -82,9 +87,9 @@ fn main() -> Result<()> {
             volumetric::run(&volumetric::Options { quick, only, pictures }, &mut output)
         }
         "reyes" => {
-            let Arguments { quick, only, size, figure, pictures, .. } = arguments;
+            let Arguments { quick, peers, only, size, figure, plots, pictures, .. } = arguments;
             let size = size.unwrap_or(if quick { 96 } else { 1024 });
-            reyes::run(&reyes::Options { quick, only, size, figure, pictures }, &mut output)
+            reyes::run(&reyes::Options { quick, only, size, figure, peers, plots, pictures }, &mut output)
         }
         other => bail!(
             "unknown suite '{other}', expected anyhit, aomask, prefilter, reyes, stability or volumetric"

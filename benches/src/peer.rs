@@ -57,9 +57,15 @@ pub fn open(name: PeerName, mesh: &TriangleMesh) -> Result<Box<dyn Peer>> {
 #[cfg(not(feature = "embree"))]
 pub fn open(name: PeerName, _mesh: &TriangleMesh) -> Result<Box<dyn Peer>> {
     match name {
-        PeerName::Embree => anyhow::bail!(
-            "built without Embree: use `cargo xtask bench SUITE --peer embree`, or `--features embree`; \
-             `cargo xtask peers` says how to install it"
-        ),
+        PeerName::Embree => Err(missing()),
     }
+}
+
+/// Says how to get the peer.
+#[cfg(not(feature = "embree"))]
+pub fn missing() -> anyhow::Error {
+    anyhow::anyhow!(
+        "built without Embree: use `cargo xtask bench SUITE --peer embree`, or `--features embree`; \
+         `cargo xtask peers` says how to install it"
+    )
 }

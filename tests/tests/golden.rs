@@ -13,8 +13,9 @@ use umbrage_render::{
     geometry::Geometry,
     image::{Film, read_exr, write_exr},
     render::{RenderOptions, render},
+    subdivide,
 };
-use umbrage_scene::Scene;
+use umbrage_scene::{Scene, mesh_file::read_polygons};
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("golden")
@@ -29,9 +30,12 @@ fn different_pixels(stored: &Film, actual: &Film, layer: &str) -> usize {
 }
 
 fn check(name: &str) {
-    let scene = Scene::load(&folder().join(name).with_extension("toml")).unwrap();
-    let geometry = Geometry::build(&scene).unwrap();
-    let actual = render(&scene, &geometry, &RenderOptions::default(), &mut |_| true).unwrap().film;
+    check_scene(name, &Scene::load(&folder().join(name).with_extension("toml")).unwrap());
+}
+
+fn check_scene(name: &str, scene: &Scene) {
+    let geometry = Geometry::build(scene).unwrap();
+    let actual = render(scene, &geometry, &RenderOptions::default(), &mut |_| true).unwrap().film;
     let path = folder().join(name).with_extension("exr");
     if std::env::var_os("UMBRAGE_BLESS").is_some() {
         write_exr(&path, &actual).unwrap();
@@ -76,4 +80,15 @@ fn leaves() {
 #[test]
 fn cathedral() {
     check("cathedral");
+}
+
+/// A Catmull-Clark surface with boundaries between faces of three and four corners, creases and a tip, as `render --subdivide`
+/// shows it.
+#[test]
+fn surface() {
+    let control = read_polygons(&folder().join("surface.obj")).unwrap();
+    let scene = subdivide::scene_around("surface", &control, 1.0, |settings| {
+        (settings.width, settings.height, settings.spp) = (96, 72, 4);
+    });
+    check_scene("surface", &scene.unwrap());
 }

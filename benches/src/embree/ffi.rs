@@ -1,10 +1,11 @@
-//! Binding to Embree 3 (`libembree3`): devices, committed scenes of one mesh, occlusion calls. All unsafe code of this
-//! crate is here; what is public is safe to call.
+//! Binding to Embree 3 (`libembree3`): devices, committed scenes of one mesh or subdivision surface, occlusion calls and the
+//! closest hit of single rays. All unsafe code of this crate is here; what is public is safe to call.
 //!
 //! The control register of floating point stays as it is: denormals are not flushed, here or in our own code.
 
 use anyhow::{Result, bail};
 use std::{
+    any::Any,
     ffi::{c_char, c_int, c_uint, c_void},
     marker::PhantomData,
     mem::offset_of,
@@ -14,7 +15,7 @@ use std::{
         atomic::{AtomicIsize, Ordering},
     },
 };
-use umbrage_geom::OpticalDepth;
+use umbrage_geom::{OpticalDepth, PolygonMesh};
 
 type Handle = *mut c_void;
 
@@ -52,7 +53,42 @@ pub struct Single {
     pub flags: u32,
 }
 
-/// `RTCRay8`, `RTCRay16`: the components of [`Single`], each for all lanes.
+/// `RTCRayHit`.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct SingleHit {
+    /// `tfar` is that of the hit, if there is one.
+    pub ray: Single,
+    pub hit: Hit,
+}
+
+/// `RTCHit`.
+#[derive(Clone, Copy)]
+#[repr(C, align(16))]
+pub struct Hit {
+    /// Not normalized.
+    pub normal: [f32; 3],
+    pub u: f32,
+    pub v: f32,
+    pub primitive: u32,
+    /// `u32::MAX` for a miss.
+    pub geometry: u32,
+    pub instance: u32,
+}
+
+impl Hit {
+    /// No hit yet.
+    pub const NONE: Self = Self {
+        normal: [0.0; 3],
+        u: 0.0,
+        v: 0.0,
+        primitive: u32::MAX,
+        geometry: u32::MAX,
+        instance: u32::MAX,
+    };
+}
+
+/// `RTCRay4`, `RTCRay8`, `RTCRay16`: the components of [`Single`], each for all lanes.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub struct Packet<const N: usize> {
@@ -70,6 +106,7 @@ pub struct Packet<const N: usize> {
 const ID: usize = offset_of!(Single, id) / 4;
 const _: () = assert!(size_of::<Single>() == 48 && offset_of!(Packet<8>, id) == ID * 8 * 4);
 const _: () = assert!(size_of::<Packet<8>>() == 48 * 8 && size_of::<Packet<16>>() == 48 * 16);
+const _: () = assert!(size_of::<SingleHit>() == 80 && offset_of!(SingleHit, hit) == 48);
 
 /// The mask of a packet without inactive lanes.
 #[repr(align(64))]
@@ -77,8 +114,13 @@ struct AllLanes([c_int; 16]);
 static ALL_LANES: AllLanes = AllLanes([-1; 16]);
 
 const TYPE_TRIANGLE: c_uint = 0;
+const TYPE_SUBDIVISION: c_uint = 8;
 const BUFFER_INDEX: c_uint = 0;
 const BUFFER_VERTEX: c_uint = 1;
+const BUFFER_FACE: c_uint = 16;
+const BUFFER_LEVEL: c_uint = 17;
+const FORMAT_UINT: c_uint = 0x5001;
+const FORMAT_FLOAT: c_uint = 0x9001;
 const FORMAT_UINT3: c_uint = 0x5003;
 const FORMAT_FLOAT3: c_uint = 0x9003;
 const SCENE_ROBUST: c_uint = 1 << 2;
@@ -115,7 +157,9 @@ unsafe extern "C" {
     fn rtcSetSceneBuildQuality(scene: Handle, quality: c_uint);
     fn rtcSetSceneFlags(scene: Handle, flags: c_uint);
     fn rtcAttachGeometry(scene: Handle, geometry: Handle) -> c_uint;
+    fn rtcIntersect1(scene: Handle, context: *mut Context, ray: *mut SingleHit);
     fn rtcOccluded1(scene: Handle, context: *mut Context, ray: *mut Single);
+    fn rtcOccluded4(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut Packet<4>);
     fn rtcOccluded8(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut Packet<8>);
     fn rtcOccluded16(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut Packet<16>);
     fn rtcOccluded1M(scene: Handle, context: *mut Context, rays: *mut Single, count: c_uint, stride: usize);
@@ -124,8 +168,10 @@ unsafe extern "C" {
 /// A device whose builds run on one thread.
 pub struct Device {
     handle: Handle,
-    /// Bytes that Embree holds now; boxed by the `Arc` around the device, so its address is fixed.
+    /// Bytes that Embree holds now; behind the `Arc` around the device, so its address is fixed.
     bytes: AtomicIsize,
+    /// The most that it held.
+    peak: AtomicIsize,
 }
 
 // SAFETY: Embree's device functions may be called from any thread, and the counter is atomic.
@@ -134,9 +180,10 @@ unsafe impl Send for Device {}
 unsafe impl Sync for Device {}
 
 unsafe extern "C" fn count_bytes(user: *mut c_void, bytes: isize, _after: bool) -> bool {
-    // SAFETY: `user` points to the counter of a device that outlives all its allocations, see `Device::new`.
-    let counter = unsafe { &*user.cast::<AtomicIsize>() };
-    counter.fetch_add(bytes, Ordering::Relaxed);
+    // SAFETY: `user` points to a device that outlives all its allocations, see `Device::new`.
+    let device = unsafe { &*user.cast::<Device>() };
+    let held = device.bytes.fetch_add(bytes, Ordering::Relaxed) + bytes;
+    device.peak.fetch_max(held, Ordering::Relaxed);
     true
 }
 
@@ -149,16 +196,16 @@ impl Device {
         if handle.is_null() {
             bail!("Embree doesn't start on this machine");
         }
-        let device = Arc::new(Self { handle, bytes: AtomicIsize::new(0) });
-        // SAFETY: the counter lies behind an `Arc`, hence doesn't move, and lives until the device has been released.
-        unsafe {
-            rtcSetDeviceMemoryMonitorFunction(
-                handle,
-                Some(count_bytes),
-                ptr::from_ref(&device.bytes).cast_mut().cast(),
-            );
-        }
+        let device = Arc::new(Self { handle, bytes: AtomicIsize::new(0), peak: AtomicIsize::new(0) });
+        let user = Arc::as_ptr(&device).cast_mut().cast();
+        // SAFETY: the counters lie behind an `Arc`, hence don't move, and live until the device has been released.
+        unsafe { rtcSetDeviceMemoryMonitorFunction(handle, Some(count_bytes), user) }
         Ok(device)
+    }
+
+    /// The most bytes that Embree held at a time.
+    pub fn peak_bytes(&self) -> usize {
+        usize::try_from(self.peak.load(Ordering::Relaxed)).unwrap_or(0)
     }
 
     fn check(&self, doing: &str) -> Result<()> {
@@ -199,6 +246,38 @@ impl Buffers {
     }
 }
 
+/// A control mesh that scenes share with us, and how finely each of its edges is divided.
+pub struct ControlBuffers {
+    /// One vertex more than the mesh has, as in [`Buffers`].
+    positions: Vec<[f32; 3]>,
+    face_sizes: Vec<u32>,
+    corners: Vec<u32>,
+    /// Segments of the edge from each corner to its face's next.
+    levels: Vec<f32>,
+}
+
+impl ControlBuffers {
+    /// Copies a mesh without creases.
+    ///
+    /// # Errors
+    /// For creases, indices out of range, or counts that don't fit each other.
+    pub fn new(mesh: &PolygonMesh, levels: &[f32]) -> Result<Arc<Self>> {
+        let corners: u64 = mesh.face_sizes.iter().map(|&n| u64::from(n)).sum();
+        let valid = corners == mesh.corners.len() as u64
+            && levels.len() == mesh.corners.len()
+            && mesh.corners.iter().all(|&v| (v as usize) < mesh.positions.len());
+        if !valid || !mesh.creases.is_empty() || !mesh.sharp_vertices.is_empty() {
+            bail!("not a control mesh without creases");
+        }
+        Ok(Arc::new(Self {
+            positions: mesh.positions.iter().copied().chain([[0.0; 3]]).collect(),
+            face_sizes: mesh.face_sizes.clone(),
+            corners: mesh.corners.clone(),
+            levels: levels.to_vec(),
+        }))
+    }
+}
+
 /// `RTCBuildQuality`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quality {
@@ -216,13 +295,13 @@ pub enum Feature {
     Filter,
 }
 
-/// A committed scene of one mesh.
+/// A committed scene of one mesh or surface.
 pub struct Scene {
     handle: Handle,
     bytes: usize,
     // Released after the scene.
     _device: Arc<Device>,
-    _buffers: Arc<Buffers>,
+    _buffers: Arc<dyn Any + Send + Sync>,
 }
 
 // SAFETY: Embree's scenes may be used from any thread.
@@ -271,10 +350,51 @@ impl Scene {
             handle,
             bytes: usize::try_from(bytes).unwrap_or(0),
             _device: Arc::clone(device),
-            _buffers: Arc::clone(buffers),
+            _buffers: Arc::clone(buffers) as _,
         };
         device.check("building a scene")?;
         Ok(scene)
+    }
+
+    /// Tessellates a Catmull-Clark surface, boundaries as creases, builds and commits.
+    ///
+    /// # Errors
+    /// What Embree reports, such as a lack of memory.
+    pub fn build_subdivision(device: &Arc<Device>, buffers: &Arc<ControlBuffers>) -> Result<Self> {
+        let before = device.bytes.load(Ordering::Relaxed);
+        // SAFETY: as in `build`; `ControlBuffers` has checked counts and indices.
+        let handle = unsafe {
+            let geometry = rtcNewGeometry(device.handle, TYPE_SUBDIVISION);
+            let share = |kind, format, data: *const c_void, stride, count| {
+                rtcSetSharedGeometryBuffer(geometry, kind, 0, format, data, 0, stride, count);
+            };
+            let ControlBuffers { positions, face_sizes, corners, levels } = &**buffers;
+            share(BUFFER_VERTEX, FORMAT_FLOAT3, positions.as_ptr().cast(), 12, positions.len() - 1);
+            share(BUFFER_FACE, FORMAT_UINT, face_sizes.as_ptr().cast(), 4, face_sizes.len());
+            share(BUFFER_INDEX, FORMAT_UINT, corners.as_ptr().cast(), 4, corners.len());
+            share(BUFFER_LEVEL, FORMAT_FLOAT, levels.as_ptr().cast(), 4, levels.len());
+            rtcCommitGeometry(geometry);
+            let scene = rtcNewScene(device.handle);
+            rtcAttachGeometry(scene, geometry);
+            rtcReleaseGeometry(geometry);
+            rtcCommitScene(scene);
+            scene
+        };
+        let bytes = device.bytes.load(Ordering::Relaxed) - before;
+        let scene = Self {
+            handle,
+            bytes: usize::try_from(bytes).unwrap_or(0),
+            _device: Arc::clone(device),
+            _buffers: Arc::clone(buffers) as _,
+        };
+        device.check("building a surface")?;
+        Ok(scene)
+    }
+
+    /// `rtcIntersect1`.
+    pub fn intersect1(&self, query: &mut Query, ray: &mut SingleHit) {
+        // SAFETY: scene and context live; the ray is aligned by its type.
+        unsafe { rtcIntersect1(self.handle, &mut query.context, ray) }
     }
 
     /// Bytes that Embree took for the scene and still held after the commit, shared buffers not counted.
@@ -287,6 +407,14 @@ impl Scene {
         for ray in rays {
             // SAFETY: scene and context live; the ray is aligned by its type.
             unsafe { rtcOccluded1(self.handle, &mut query.context, ray) }
+        }
+    }
+
+    /// `rtcOccluded4` of each packet.
+    pub fn occluded4(&self, query: &mut Query, packets: &mut [Packet<4>]) {
+        for packet in packets {
+            // SAFETY: as above; the mask has four lanes and more.
+            unsafe { rtcOccluded4(ALL_LANES.0.as_ptr(), self.handle, &mut query.context, packet) }
         }
     }
 

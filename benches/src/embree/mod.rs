@@ -3,6 +3,7 @@
 //! Rays are written into Embree's layouts before each pass, which is not timed; nor are answers read back.
 
 mod ffi;
+pub mod surface;
 
 use self::ffi::{Buffers, Device, Feature, Packet, Quality, Query, Scene, Single};
 use crate::{

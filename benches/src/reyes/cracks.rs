@@ -1,7 +1,7 @@
 //! Pixels where a ray slips through a surface, and how far tessellations lie from the limit surface.
 
 use super::{
-    frame::{Method, Reference},
+    frame::{Method, Reference, rate},
     scenes::{Scene, View},
 };
 use anyhow::Result;
@@ -25,15 +25,19 @@ pub struct Found {
 /// Traces `views` random views of `size` x `size` pixels.
 pub fn count(scene: &Scene, method: &Method, reference: &Reference, views: u32, size: u32) -> Result<Found> {
     let surface = Arc::new(Surface::build(&scene.control, &method.surface)?);
-    let tracer = SurfaceTracer::new(surface, &method.trace)?;
+    let tracer = SurfaceTracer::new(Arc::clone(&surface), &method.trace)?;
     let mut state = TraceState::new(&method.trace);
     let mut found = Found::default();
     let mut compared = 0usize;
     for seed in 0..views {
         let view = scene.random_view(seed, size);
+        let once = method.once.map(|pixels| rate(Arc::clone(&surface), &view, pixels)).transpose()?;
         for (x, y) in view.pixels() {
             let (ray, differential) = view.ray(x, y);
-            let hit = tracer.closest_hit(&ray, &differential, &mut state);
+            let hit = match &once {
+                Some(rated) => rated.closest_hit(&ray).map(|hit| hit.hit),
+                None => tracer.closest_hit(&ray, &differential, &mut state),
+            };
             found.rays += 1;
             let truth = reference.closest_hit(&ray);
             let Some((t, facing)) = truth else { continue };

@@ -55,16 +55,12 @@ const MAX_LEVEL: u8 = 9;
 fn methods(tight: u32) -> [Method; 4] {
     let surface = SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(tight);
     let published =
-        |name, rule| Method { name, surface, trace: TraceOptions::published(rule).with_max_level(MAX_LEVEL) };
+        |name, rule| Method::new(name, surface, TraceOptions::published(rule).with_max_level(MAX_LEVEL));
     [
         published("entry", FootprintRule::Entry),
         published("final-approach", FootprintRule::FinalApproach),
         published("exact-final-approach", FootprintRule::ExactFinalApproach),
-        Method {
-            name: "default",
-            surface: SurfaceOptions::default(),
-            trace: TraceOptions::default().with_max_level(MAX_LEVEL),
-        },
+        Method::new("default", SurfaceOptions::default(), TraceOptions::default().with_max_level(MAX_LEVEL)),
     ]
 }
 

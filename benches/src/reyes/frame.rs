@@ -10,7 +10,7 @@ use umbrage_geom::{
     offset_origin,
     sampling::{combine, hash, pixel_seed, unit},
 };
-use umbrage_reyes::{Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState};
+use umbrage_reyes::{RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState};
 
 /// How shadow rays are traced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,9 +41,62 @@ pub struct Method {
     pub name: &'static str,
     pub surface: SurfaceOptions,
     pub trace: TraceOptions,
+    /// Instead of rates by each ray, one rate a patch: edges of so many pixels.
+    pub once: Option<f32>,
+}
+
+impl Method {
+    pub fn new(name: &'static str, surface: SurfaceOptions, trace: TraceOptions) -> Self {
+        Self { name, surface, trace, once: None }
+    }
+
+    /// Rates chosen once, by the camera.
+    pub fn once(name: &'static str, pixels: f32) -> Self {
+        // Nothing of the trees of patches is needed once a patch is made.
+        let surface = SurfaceOptions::default().with_tight_levels(0).with_tree_bytes(0);
+        Self { once: Some(pixels), ..Self::new(name, surface, TraceOptions::default()) }
+    }
+}
+
+/// Rates for a view.
+pub fn rate(surface: Arc<Surface>, view: &View, pixels: f32) -> Result<RatedSurface> {
+    let (_, differential) = view.ray(0, 0);
+    let width = differential.d_direction[0].length() * pixels;
+    Ok(RatedSurface::for_eye(surface, view.eye, width, 10)?)
+}
+
+/// [`render`] at rates chosen once.
+fn render_once(scene: &Scene, setting: &Setting, method: &Method, pixels: f32) -> Result<Frame> {
+    #[cfg(feature = "embree")]
+    let before = crate::memory::start();
+    let start = Instant::now();
+    let surface = Arc::new(Surface::build(&scene.control, &method.surface)?);
+    let mut caster = rate(Arc::clone(&surface), &setting.view, pixels)?;
+    let build_s = start.elapsed().as_secs_f64();
+    let (image, rays, hits) = cast(setting, &mut caster);
+    let seconds = start.elapsed().as_secs_f64() - build_s;
+    #[cfg(feature = "embree")]
+    let bytes = crate::memory::peak_since(before) - size_of_val(&image[..]);
+    #[cfg(not(feature = "embree"))]
+    let bytes = surface.bytes() + caster.bytes();
+    let operations = surface.counts();
+    let dice = surface.patch_count() as u64;
+    Ok(Frame {
+        image,
+        seconds,
+        build_s,
+        rays,
+        hits,
+        bound: operations.bound,
+        split: operations.split,
+        dice,
+        micropolygons: caster.micropolygons(),
+        bytes,
+    })
 }
 
 /// An image and what it took.
+#[derive(Default)]
 pub struct Frame {
     /// Share of light samples seen, 1 where nothing is hit; without lights, distance of the hit.
     pub image: Vec<f32>,
@@ -72,13 +125,16 @@ impl Frame {
 }
 
 /// Where in its stratum pixel `(x, y)` samples light `l`.
-fn jitter(x: u32, y: u32, l: usize, i: u32) -> Vec2 {
+pub fn jitter(x: u32, y: u32, l: usize, i: u32) -> Vec2 {
     let seed = combine(pixel_seed(x, y, 7), hash(l as u32 * 64 + i));
     Vec2::new(unit(seed), unit(hash(seed)))
 }
 
 /// Renders with a surface made for the occasion.
 pub fn render(scene: &Scene, setting: &Setting, method: &Method) -> Result<Frame> {
+    if let Some(pixels) = method.once {
+        return render_once(scene, setting, method, pixels);
+    }
     let start = Instant::now();
     let surface = Arc::new(Surface::build(&scene.control, &method.surface)?);
     let tracer = SurfaceTracer::new(Arc::clone(&surface), &method.trace)?;
@@ -145,6 +201,62 @@ fn trace(tracer: &SurfaceTracer, setting: &Setting) -> (Vec<f32>, usize, usize) 
             }
         }
         *pixel = seen as f32 / (samples * setting.lights.len() as u32) as f32;
+    }
+    (image, rays, hits)
+}
+
+/// Something that rays are traced against.
+pub trait Caster {
+    /// `t` and unit normal of the closest micropolygon.
+    fn closest_hit(&self, ray: &Ray) -> Option<(f32, Vec3)>;
+
+    /// How many of `rays` are blocked.
+    fn count_blocked(&mut self, rays: &[Ray]) -> usize;
+}
+
+impl Caster for RatedSurface {
+    fn closest_hit(&self, ray: &Ray) -> Option<(f32, Vec3)> {
+        let hit = self.closest_hit(ray)?;
+        let [a, b, c] = self.corners(&hit).map(Vec3::from);
+        Some((hit.hit.t, (b - a).cross(c - a).normalize_or_zero()))
+    }
+
+    fn count_blocked(&mut self, rays: &[Ray]) -> usize {
+        rays.iter().filter(|ray| self.any_hit(ray)).count()
+    }
+}
+
+/// Renders as [`render`] does, with shadow rays from micropolygons; without lights, distances. Returns image, rays, hits.
+pub fn cast(setting: &Setting, caster: &mut impl Caster) -> (Vec<f32>, usize, usize) {
+    let size = setting.view.size;
+    let samples = setting.strata[0] * setting.strata[1];
+    let most = samples as usize * setting.lights.len();
+    let mut image = vec![1f32; (size * size) as usize];
+    let mut shadow_rays = Vec::with_capacity(most);
+    let (mut rays, mut hits) = (0, 0);
+    // Hits are as exact as `t` is.
+    let magnitude = 8.0 * setting.view.eye.abs().max_element();
+    for (x, y) in setting.view.pixels() {
+        let (ray, _) = setting.view.ray(x, y);
+        rays += 1;
+        let Some((t, normal)) = caster.closest_hit(&ray) else { continue };
+        hits += 1;
+        if setting.lights.is_empty() {
+            image[(y * size + x) as usize] = t;
+            continue;
+        }
+        let point = ray.at(t);
+        shadow_rays.clear();
+        for (l, light) in setting.lights.iter().enumerate() {
+            for i in 0..samples {
+                let (target, _) = light.sample(i, setting.strata, jitter(x, y, l, i));
+                let origin = offset_origin(point, normal, target - point, magnitude);
+                shadow_rays.push(Ray::between(origin, target));
+            }
+        }
+        rays += shadow_rays.len();
+        let blocked = caster.count_blocked(&shadow_rays);
+        image[(y * size + x) as usize] = 1.0 - blocked as f32 / most as f32;
     }
     (image, rays, hits)
 }

@@ -1,13 +1,20 @@
 //! Suite `reyes`: subdivision surfaces by ray footprint, as in Djeu 2011, chapter 6, and beyond.
 
 mod cracks;
+mod dice;
+#[cfg(feature = "embree")]
+mod embree;
 mod figures;
 mod frame;
 mod pictures;
+mod plot;
 mod scenes;
 mod study;
 
-use crate::rows::{Output, note};
+use crate::{
+    peer::PeerName,
+    rows::{Output, note},
+};
 use anyhow::Result;
 use frame::Shadows;
 use std::path::PathBuf;
@@ -23,6 +30,10 @@ pub struct Options {
     pub size: u32,
     /// Only figures whose name contains this.
     pub figure: Option<String>,
+    /// Ray casters of others to measure against.
+    pub peers: Vec<PeerName>,
+    /// Folder for plots.
+    pub plots: Option<PathBuf>,
     /// Folder for pictures, instead of rows.
     pub pictures: Option<PathBuf>,
 }
@@ -43,6 +54,12 @@ impl Options {
 /// # Errors
 /// If a mesh can't be read or a row not written.
 pub fn run(options: &Options, output: &mut Output) -> Result<()> {
+    if options.pictures.is_none() && options.only.is_none() {
+        dice::run(options, output)?;
+        if options.figure.as_deref() == Some(dice::NAME) {
+            return Ok(());
+        }
+    }
     for scene in scenes::all()? {
         if options.only.as_ref().is_none_or(|only| scene.name.contains(only.as_str())) {
             note(scene.name);
@@ -50,11 +67,24 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
                 pictures::write(&scene, options.size, folder)?;
                 continue;
             }
-            let level = if scene.control.face_sizes.len() < 100 { 8 } else { 4 };
+            // Against a peer, what is left of the reference's own error counts.
+            let level = match scene.control.face_sizes.len() {
+                0..100 => 8,
+                100..5000 if !options.peers.is_empty() => 6,
+                100..5000 => 4,
+                _ if !options.peers.is_empty() => 5,
+                _ => 4,
+            };
             let reference = frame::Reference::new(&scene, level)?;
             figures::run(&scene, options, &reference, output)?;
             study::run(&scene, options, &reference, output)?;
             study::cracks(&scene, options, &reference, output)?;
+            if options.peers.contains(&PeerName::Embree) && options.wants("embree") {
+                #[cfg(feature = "embree")]
+                embree::run(&scene, options, &reference, output)?;
+                #[cfg(not(feature = "embree"))]
+                return Err(crate::peer::missing());
+            }
         }
     }
     Ok(())

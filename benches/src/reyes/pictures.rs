@@ -30,16 +30,12 @@ const COLORS: [[f32; 3]; 8] = [
 /// Writes `SCENE-entry.png` and `SCENE-default.png`, with visible micropolygons, and `SCENE-close.png`.
 pub fn write(scene: &Scene, size: u32, folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    let entry = Method {
-        name: "entry",
-        surface: SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(0),
-        trace: TraceOptions::published(FootprintRule::Entry).with_edge(EDGE),
-    };
-    let default = Method {
-        name: "default",
-        surface: SurfaceOptions::default(),
-        trace: TraceOptions::default().with_edge(EDGE),
-    };
+    let entry = Method::new(
+        "entry",
+        SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(0),
+        TraceOptions::published(FootprintRule::Entry).with_edge(EDGE),
+    );
+    let default = Method::new("default", SurfaceOptions::default(), TraceOptions::default().with_edge(EDGE));
     for (method, close, name) in
         [(&entry, false, "entry"), (&default, false, "default"), (&default, true, "close")]
     {

@@ -5,10 +5,11 @@ use super::{
     Options, cracks,
     figures::row,
     frame::{Frame, Method, Reference, Setting, Shadows, render},
+    plot::{Point, svg},
     scenes::Scene,
 };
 use crate::rows::{Output, Row};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use serde_json::json;
 use std::time::Instant;
 use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, TraceOptions};
@@ -19,7 +20,7 @@ fn methods() -> Vec<Method> {
     let hull = SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(0);
     let trace = TraceOptions::default().with_max_level(MAX_LEVEL);
     let published = |rule| TraceOptions::published(rule).with_max_level(MAX_LEVEL);
-    let method = |name, surface, trace| Method { name, surface, trace };
+    let method = Method::new;
     let tight = SurfaceOptions::default();
     let equal = trace.with_rates(Rates::Equal);
     vec![
@@ -35,6 +36,7 @@ fn methods() -> Vec<Method> {
         method("default-open", tight, trace.with_borders(Borders::Open)),
         method("default", tight, trace),
         method("default-occluders", tight, trace.with_occluder_cells(64)),
+        Method::once("once", 1.0),
     ]
 }
 
@@ -59,7 +61,9 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
         let truth = reference.render(&setting);
         // Rates without end near the point take minutes at full size.
         let chosen =
-            methods.iter().filter(|m| lit && shadows == Shadows::FromPixel || !m.name.contains("exact"));
+            methods.iter().filter(|m| shadows == Shadows::FromPixel && lit || !m.name.contains("exact"));
+        // Rates chosen once don't depend on how shadow rays are traced.
+        let chosen = chosen.filter(|m| shadows == Shadows::FromPixel || m.once.is_none());
         let chosen: Vec<&Method> = chosen.collect();
         let mut frames: Vec<Vec<Frame>> = chosen.iter().map(|_| Vec::new()).collect();
         for _ in 0..passes {
@@ -67,6 +71,7 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
                 frames.push(render(scene, &setting, method)?);
             }
         }
+        let mut points = Vec::new();
         for (method, own) in chosen.iter().zip(&frames) {
             let params = json!({
                 "figure": name, "size": size, "lights": lights.len(), "samples": 4,
@@ -77,7 +82,21 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
                 let found = cracks::count(scene, method, reference, views, size)?;
                 add_found(&mut row, &found);
             }
+            points.push(Point {
+                name: format!("{} ({:.1} MB)", method.name, row.bytes as f64 * 1e-6),
+                x: row.time_s + row.build_s,
+                y: row.rmse,
+                filled: method.trace.borders != Borders::Open || method.trace.footprint.is_by_edges(),
+            });
             output.row(&row)?;
+        }
+        if let Some(folder) = options.plots.as_ref().filter(|_| name == "study normal") {
+            let title = format!("{}, {size} x {size}, 5 lights; open circles may have cracks", scene.name);
+            let labels = ["time of the frame, seconds", "RMSE from the limit surface"];
+            let path = folder.join(format!("reyes-{}-study.svg", scene.name));
+            std::fs::create_dir_all(folder)?;
+            std::fs::write(&path, svg(&title, labels, &points))
+                .with_context(|| path.display().to_string())?;
         }
     }
     Ok(())
@@ -98,7 +117,8 @@ pub fn cracks(scene: &Scene, options: &Options, reference: &Reference, output: &
         return Ok(());
     }
     let views = if options.quick { 1 } else { 5 };
-    for method in methods().iter().filter(|m| ["entry", "default-open", "default"].contains(&m.name)) {
+    for method in methods().iter().filter(|m| ["entry", "default-open", "default", "once"].contains(&m.name))
+    {
         let start = Instant::now();
         let found = cracks::count(scene, method, reference, views, options.size)?;
         let time_s = start.elapsed().as_secs_f64();

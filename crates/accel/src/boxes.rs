@@ -6,7 +6,7 @@ use crate::{
     kernel::{Job, Kernel, NodeRay},
     node::Tree,
     topology::Topology,
-    traversal::{SortedWalk, just_behind},
+    traversal::{SortedWalk, Walk, just_behind},
 };
 use std::ops::ControlFlow;
 use umbrage_geom::{Aabb, Ray, SlabRay};
@@ -18,6 +18,21 @@ pub struct BoxBvh {
     /// Index of each leaf's box.
     prims: Vec<u32>,
     back_end: BackEnd,
+}
+
+/// What to do in boxes that a segment may enter: see [`BoxBvh::walk_with`].
+pub trait BoxVisitor {
+    /// Called with the index of a box; see [`BoxBvh::walk`].
+    fn visit(&mut self, index: u32) -> ControlFlow<(), f32>;
+}
+
+struct Closure<F>(F);
+
+impl<F: FnMut(u32) -> ControlFlow<(), f32>> BoxVisitor for Closure<F> {
+    #[inline(always)]
+    fn visit(&mut self, index: u32) -> ControlFlow<(), f32> {
+        (self.0)(index)
+    }
 }
 
 impl BoxBvh {
@@ -51,7 +66,19 @@ impl BoxBvh {
     /// `visit` returns where the segment ends from now on: the ray's `tfar`, or the `t` of the nearest hit so far (boxes
     /// that tie with it after rounding are still visited). A ray that is not [valid](Ray::is_valid) enters no box.
     pub fn walk(&self, ray: &Ray, visit: impl FnMut(u32) -> ControlFlow<(), f32>) -> ControlFlow<()> {
-        self.back_end.run(WalkBoxes { bvh: self, ray, visit })
+        self.walk_with(ray, &mut Closure(visit))
+    }
+
+    /// [`Self::walk`] with a visitor instead of a closure: if its [`BoxVisitor::visit`] is `#[inline(always)]`, it is compiled
+    /// for the instructions that the hierarchy uses.
+    pub fn walk_with(&self, ray: &Ray, visitor: &mut impl BoxVisitor) -> ControlFlow<()> {
+        self.back_end.run(WalkBoxes { bvh: self, ray, visitor })
+    }
+
+    /// [`Self::walk_with`] in no particular order, until the visitor breaks: faster, where any hit ends the walk. Where the
+    /// segment ends, which [`BoxVisitor::visit`] returns, makes no difference.
+    pub fn walk_unsorted(&self, ray: &Ray, visitor: &mut impl BoxVisitor) -> ControlFlow<()> {
+        self.back_end.run(WalkUnsorted(WalkBoxes { bvh: self, ray, visitor }))
     }
 
     /// Smallest box around all boxes; empty if there are none.
@@ -65,17 +92,40 @@ impl BoxBvh {
     }
 }
 
-struct WalkBoxes<'a, F> {
+struct WalkBoxes<'a, V> {
     bvh: &'a BoxBvh,
     ray: &'a Ray,
-    visit: F,
+    visitor: &'a mut V,
 }
 
-impl<F: FnMut(u32) -> ControlFlow<(), f32>> Job for WalkBoxes<'_, F> {
+struct WalkUnsorted<'a, V>(WalkBoxes<'a, V>);
+
+impl<V: BoxVisitor> Job for WalkUnsorted<'_, V> {
     type Output = ControlFlow<()>;
 
     #[inline(always)]
-    fn run<K: Kernel>(mut self, kernel: K) -> ControlFlow<()> {
+    fn run<K: Kernel>(self, kernel: K) -> ControlFlow<()> {
+        let WalkBoxes { bvh, ray, visitor } = self.0;
+        let Some(slab) = SlabRay::new(ray) else { return ControlFlow::Continue(()) };
+        if bvh.tree.nodes.is_empty() {
+            return ControlFlow::Continue(());
+        }
+        let node = NodeRay::new(slab);
+        let mut walk = Walk::new(kernel, &bvh.tree, &node, &mut ());
+        while let Some(leaf) = walk.next(&mut ()) {
+            if visitor.visit(bvh.prims[leaf]).is_break() {
+                return ControlFlow::Break(());
+            }
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+impl<V: BoxVisitor> Job for WalkBoxes<'_, V> {
+    type Output = ControlFlow<()>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> ControlFlow<()> {
         let Some(slab) = SlabRay::new(self.ray) else { return ControlFlow::Continue(()) };
         if self.bvh.tree.nodes.is_empty() {
             return ControlFlow::Continue(());
@@ -84,7 +134,7 @@ impl<F: FnMut(u32) -> ControlFlow<(), f32>> Job for WalkBoxes<'_, F> {
         let mut walk = SortedWalk::new(kernel, &self.bvh.tree, &node);
         let mut tfar = self.ray.tfar;
         while let Some(leaf) = walk.next(&mut ()) {
-            match (self.visit)(self.bvh.prims[leaf]) {
+            match self.visitor.visit(self.bvh.prims[leaf]) {
                 ControlFlow::Break(()) => return ControlFlow::Break(()),
                 ControlFlow::Continue(t) if t < tfar => {
                     tfar = t;

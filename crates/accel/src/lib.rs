@@ -20,7 +20,7 @@ mod traversal;
 mod view;
 
 pub use binary::{BinaryNode, BinaryTree};
-pub use boxes::BoxBvh;
+pub use boxes::{BoxBvh, BoxVisitor};
 pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};

@@ -16,6 +16,7 @@ pub mod light;
 pub mod method;
 mod raster_sky;
 pub mod render;
+pub mod subdivide;
 mod volumetric;
 
 pub use error::RenderError;

@@ -251,6 +251,32 @@ fn masks_bake_given_points_and_write_down_their_rays() {
     folder.fails("bake mesh.obj -o x.ply --dump-rays rays2.bin", &["--dump-rays", "mask-table"]);
 }
 
+/// Catmull-Clark surfaces: finer pictures have more triangles, shards make the same picture, bakes have vertices on the surface.
+#[test]
+fn control_meshes_become_surfaces() {
+    let folder = Folder::new();
+    let triangles = |name: &str| {
+        let stats: serde_json::Value = serde_json::from_slice(&folder.bytes(name)).unwrap();
+        stats["triangles"].as_u64().unwrap()
+    };
+    folder.ok("render mesh.obj --subdivide -o a.exr --size 48x40 --spp 1 --stats a.json");
+    folder.ok("render mesh.obj --subdivide=4 -o b.exr --size 48x40 --spp 1 --stats b.json");
+    assert!(triangles("a.json") > 4 * triangles("b.json") && triangles("b.json") > 20);
+    for part in [1, 2] {
+        folder
+            .ok(&format!("render mesh.obj --subdivide -o p{part}.exr --size 48x40 --spp 1 --shard {part}/2"));
+    }
+    folder.ok("merge whole.exr p1.exr p2.exr");
+    assert_eq!(folder.bytes("whole.exr"), folder.bytes("a.exr"));
+    folder.ok("bake mesh.obj --subdivide=2 -o ao.ply --rays 16 --stats bake.json");
+    // Each corner of four triangles is a quadrilateral, cut into 4 x 4 cells.
+    assert_eq!(triangles("bake.json"), 12 * 16 * 2);
+    assert!(ao(&folder.path("ao.ply")).iter().all(|&ao| ao > 0.9), "the surface is convex");
+    folder.fails("render scene.toml --subdivide -o c.png", &["scene.toml"]);
+    folder.fails("render mesh.obj --subdivide=0 -o c.png", &["mesh.obj", "width"]);
+    folder.fails("bake mesh.obj --subdivide=13 -o c.ply", &["mesh.obj", "level"]);
+}
+
 #[test]
 fn inspect_and_scenes_talk_to_people_and_scripts() {
     let folder = Folder::new();

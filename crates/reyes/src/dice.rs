@@ -4,8 +4,9 @@
 //! has too. Cells there degenerate, the grid keeps its shape, and both sides have the same segments, bit for bit.
 
 use crate::{
-    Surface,
+    Surface, SurfaceError,
     grid::{GRID_LEVEL, Grid, MAX_VERTICES},
+    length::{MAX_LEVEL, cell},
     patch::Lattice,
     surface::SIZE,
 };
@@ -107,6 +108,20 @@ impl GridKey {
         [halves[usize::from(upper)]; 2]
     }
 
+    /// Parameters of a vertex of a whole patch, column and row given, once borders are stitched.
+    pub(crate) fn moved(&self, [i, j]: [usize; 2]) -> [f32; 2] {
+        let last = self.levels.map(|l| 1u32 << l);
+        let mut at = [i as u32, j as u32];
+        for edge in 0..4 {
+            let (axis, far) = (edge % 2, edge == 1 || edge == 2);
+            let fixed = if far { last[1 - axis] } else { 0 };
+            if [i as u32, j as u32][1 - axis] == fixed {
+                at[axis] = snap(at[axis], self.levels[axis], self.stitch.get(edge), !far, None);
+            }
+        }
+        [at[0] as f32 * cell(self.levels[0]) as f32, at[1] as f32 * cell(self.levels[1]) as f32]
+    }
+
     /// Whether the part touches edge `edge` of the patch.
     pub(crate) fn touches(&self, edge: usize) -> bool {
         let last = (1u16 << self.depth) - 1;
@@ -120,32 +135,70 @@ impl GridKey {
 }
 
 impl Surface {
+    /// The Reyes operation dice of a whole patch without neighbours: `2^levels` cells along `u` and `v`, points of the limit
+    /// surface row by row, written over `points`.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Option`] for a patch that does not exist or a level beyond [`MAX_LEVEL`].
+    pub fn dice_patch(
+        &self,
+        patch: u32,
+        levels: [u8; 2],
+        points: &mut Vec<Vec3>,
+    ) -> Result<(), SurfaceError> {
+        let option = |name, value, expected| Err(SurfaceError::Option { name, value, expected });
+        if patch as usize >= self.patch_count() {
+            return option("patch", patch.into(), "less than the number of patches");
+        }
+        if let Some(&level) = levels.iter().find(|&&l| l > MAX_LEVEL) {
+            return option("level", level.into(), "0 to 12");
+        }
+        let counts = levels.map(|l| (1usize << l) + 1);
+        let [step_u, step_v] = levels.map(|l| SIZE >> l);
+        points.resize(counts[0] * counts[1], Vec3::ZERO);
+        let lattice = Lattice { u0: 0, v0: 0, step_u, step_v, stride: counts[0] };
+        self.patches[patch as usize].root.fill(SIZE, &lattice, counts, points, &self.context);
+        Ok(())
+    }
+
     /// The Reyes operation dice. The same bits for the same key, at any time.
     pub(crate) fn dice(&self, key: &GridKey) -> Grid {
-        let patch = &self.patches[key.patch as usize];
         let ([u0, v0], size) = key.corner();
         let [step_u, step_v] = key.levels.map(|l| SIZE >> l);
         let counts = [(size / step_u) as usize + 1, (size / step_v) as usize + 1];
         let mut positions = [Vec3::ZERO; MAX_VERTICES];
         let positions = &mut positions[..counts[0] * counts[1]];
-        let lattice = Lattice { u0, v0, step_u, step_v, stride: counts[0] };
-        patch.root.fill(SIZE, &lattice, counts, positions, &self.context);
         let mut parameters = [[0f32; 2]; MAX_VERTICES];
+        self.place_vertices(key, counts, positions, &mut parameters);
         let unit = 1.0 / SIZE as f32;
-        if !key.stitch.is_none() {
-            for (i, p) in parameters[..positions.len()].iter_mut().enumerate() {
-                *p = [u0 + (i % counts[0]) as u32 * step_u, v0 + (i / counts[0]) as u32 * step_v]
-                    .map(|x| x as f32 * unit);
-            }
-        }
-        for edge in 0..4 {
-            self.border(key, edge, counts, positions, &mut parameters);
-        }
         let levels = key.levels.map(|l| l - key.depth);
         let moved = (!key.stitch.is_none()).then(|| &parameters[..positions.len()]);
         let start = [u0, v0].map(|x| x as f32 * unit);
         let step = [step_u, step_v].map(|x| x as f32 * unit);
         Grid::new(levels, positions, start, step, moved)
+    }
+
+    /// Writes the vertices of a part and, if it is stitched, their parameters.
+    pub(crate) fn place_vertices(
+        &self,
+        key: &GridKey,
+        counts: [usize; 2],
+        positions: &mut [Vec3],
+        parameters: &mut [[f32; 2]],
+    ) {
+        let ([u0, v0], _) = key.corner();
+        let [step_u, step_v] = key.levels.map(|l| SIZE >> l);
+        let lattice = Lattice { u0, v0, step_u, step_v, stride: counts[0] };
+        self.patches[key.patch as usize].root.fill(SIZE, &lattice, counts, positions, &self.context);
+        if !key.stitch.is_none() {
+            for (i, p) in parameters[..positions.len()].iter_mut().enumerate() {
+                *p = [u0 + (i % counts[0]) as u32 * step_u, v0 + (i / counts[0]) as u32 * step_v]
+                    .map(|x| x as f32 / SIZE as f32);
+            }
+        }
+        for edge in 0..4 {
+            self.border(key, edge, counts, positions, parameters);
+        }
     }
 
     /// Puts the vertices of one border where the neighbour has them too.
@@ -169,25 +222,30 @@ impl Surface {
         // The fixed parameter.
         let far = edge == 1 || edge == 2;
         let fixed = [u0, v0][1 - axis] + if far { size } else { 0 };
+        let index = |i: usize| match edge {
+            0 => i,
+            1 => i * counts[0] + counts[0] - 1,
+            2 => (counts[1] - 1) * counts[0] + i,
+            _ => i * counts[0],
+        };
+        // A whole edge at once: around extraordinary vertices each point alone costs a way down the tree.
+        let row = (key.depth == 0).then(|| self.edge_row(key.patch, edge, level, |i| positions[index(i)]));
         for i in 0..counts[axis] {
             // With the diagonal that cells have, ties go to where triangles stay short.
             let at = snap((start / step) + i as u32, level, shifts, !far, key.stitch.line(edge)) * step;
-            let index = match edge {
-                0 => i,
-                1 => i * counts[0] + counts[0] - 1,
-                2 => (counts[1] - 1) * counts[0] + i,
-                _ => i * counts[0],
-            };
             let (u, v) = if axis == 0 { (at, fixed) } else { (fixed, at) };
             let is_corner = i == 0 || i + 1 == counts[axis];
             let stays = at == start + i as u32 * step;
             let moved = [u, v].map(|x| x as f32 / SIZE as f32);
-            if is_corner && stays && !key.stitch.is_none() && parameters[index] != moved {
+            if is_corner && stays && !key.stitch.is_none() && parameters[index(i)] != moved {
                 // The other border at this corner has moved it.
                 continue;
             }
-            positions[index] = self.border_position(key, edge, at);
-            parameters[index] = moved;
+            positions[index(i)] = match &row {
+                Some(row) => row[(at / step) as usize],
+                None => self.border_position(key, edge, at),
+            };
+            parameters[index(i)] = moved;
         }
     }
 

@@ -49,10 +49,11 @@ pub(crate) struct GridHit {
 pub(crate) struct GridRay {
     pub(crate) ray: Ray,
     pub(crate) slab: SlabRay,
-    block: BlockRay,
+    pub(crate) block: BlockRay,
 }
 
 impl GridRay {
+    #[inline(always)]
     pub(crate) fn new(ray: &Ray) -> Option<Self> {
         Some(Self { ray: *ray, slab: SlabRay::new(ray)?, block: BlockRay::new(ray)? })
     }

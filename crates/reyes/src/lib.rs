@@ -1,17 +1,20 @@
 #![doc = include_str!("../README.md")]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 mod bucket;
 mod cache;
+mod cells;
 mod diagsplit;
 mod dice;
 mod error;
 mod footprint;
 mod grid;
+mod kernel;
 mod length;
 mod occluder;
 mod options;
 mod patch;
+mod rated;
 mod state;
 mod subdiv;
 mod surface;
@@ -24,6 +27,7 @@ pub use footprint::{camera_differential, light_differential, reflect, refract};
 pub use length::MAX_LEVEL;
 pub use options::{Borders, FootprintRule, Rates, TraceOptions};
 pub use patch::Bicubic;
+pub use rated::{RatedHit, RatedSurface};
 pub use state::TraceState;
 pub use subdiv::{BoundaryRule, CreaseMethod, INFINITE_SHARPNESS, MAX_VALENCE, SubdivisionMesh};
 pub use surface::{Bounds, LimitPoint, Surface, SurfaceCounts, SurfaceOptions};

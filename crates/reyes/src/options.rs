@@ -25,7 +25,8 @@ pub enum FootprintRule {
 }
 
 impl FootprintRule {
-    pub(crate) fn is_by_edges(self) -> bool {
+    /// Whether rates are those of edges, on which neighbours agree.
+    pub fn is_by_edges(self) -> bool {
         matches!(self, Self::Edges | Self::ProjectedEdges | Self::DiagSplit)
     }
 }

@@ -2,14 +2,16 @@
 
 use crate::{
     SurfaceError,
+    kernel::Kernel,
     length::Lengths,
-    patch::{Kind, Node, Ring, TreeContext},
+    patch::{Kind, Lattice, Node, Ring, TreeContext},
     subdiv::{BoundaryRule, CreaseMethod, NONE, SubdivisionMesh},
 };
 use std::{
     collections::HashMap,
     sync::{OnceLock, atomic::Ordering::Relaxed},
 };
+use umbrage_accel::BackEnd;
 use umbrage_geom::{
     Aabb, PolygonMesh,
     glam::{DVec3, Vec2, Vec3},
@@ -33,6 +35,9 @@ pub struct SurfaceOptions {
     /// Bytes that parts of patches may take in all, those of the control mesh left out; what does not fit is computed
     /// again each time.
     pub tree_bytes: usize,
+    /// Which instructions points are computed with; they don't depend on it. Where the processor has them not, plain code
+    /// serves.
+    pub back_end: BackEnd,
 }
 
 impl Default for SurfaceOptions {
@@ -43,6 +48,7 @@ impl Default for SurfaceOptions {
             bounds: Bounds::default(),
             tight_levels: 1,
             tree_bytes: 256 << 20,
+            back_end: BackEnd::best(),
         }
     }
 }
@@ -76,6 +82,12 @@ impl SurfaceOptions {
     #[must_use]
     pub fn with_tree_bytes(self, tree_bytes: usize) -> Self {
         Self { tree_bytes, ..self }
+    }
+
+    /// With another [`Self::back_end`].
+    #[must_use]
+    pub fn with_back_end(self, back_end: BackEnd) -> Self {
+        Self { back_end, ..self }
     }
 }
 
@@ -147,7 +159,7 @@ pub(crate) struct Patch {
     pub(crate) lengths: Lengths,
     pub(crate) bounds: Aabb,
     /// See [`Surface::edge_points`].
-    edge_points: [OnceLock<[Vec3; 5]>; 4],
+    edge_points: [OnceLock<Box<[Vec3; 5]>>; 4],
 }
 
 /// Numbers of Reyes operations done on a surface (Djeu 2011, section 5.4); see also [`crate::TraceCounts`].
@@ -211,6 +223,7 @@ impl Surface {
     fn from_mesh(mesh: &SubdivisionMesh, options: &SurfaceOptions) -> Self {
         let context = TreeContext {
             method: mesh.crease_method(),
+            kernel: Kernel::new(options.back_end),
             bezier_bounds: options.bounds == Bounds::Bezier,
             limit: options.tree_bytes,
             bytes: 0.into(),
@@ -305,7 +318,9 @@ impl Surface {
     /// Points at quarters of an edge.
     pub(crate) fn edge_points(&self, patch: u32, edge: usize) -> [Vec3; 5] {
         let known = &self.patches[patch as usize].edge_points[edge];
-        *known.get_or_init(|| [0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (SIZE / 4))))
+        **known.get_or_init(|| {
+            Box::new([0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (SIZE / 4))))
+        })
     }
 
     /// The point at `s` of [`SIZE`] along an edge: the same bits from both sides.
@@ -325,6 +340,67 @@ impl Surface {
         };
         let (u, v) = on_edge(edge, s);
         self.patches[owner as usize].root.position(u, v, SIZE, &self.context)
+    }
+}
+
+impl Surface {
+    /// The points of an edge cut into `2^level`, by increasing parameter, with the bits of [`Self::edge_position`]. `own` are
+    /// those that the patch itself has there.
+    pub(crate) fn edge_row(
+        &self,
+        patch: u32,
+        edge: usize,
+        level: u8,
+        own: impl Fn(usize) -> Vec3,
+    ) -> Vec<Vec3> {
+        let (count, step) = (1usize << level, SIZE >> level);
+        let mut row = vec![Vec3::ZERO; count + 1];
+        // From the start of the edge; edges 2 and 3 run against the parameters.
+        row[0] = self.corner(patch, edge);
+        row[count] = self.corner(patch, edge + 1);
+        let middle = count.div_ceil(2);
+        for (half, places) in [1..middle, middle..count].into_iter().enumerate() {
+            let link = self.patches[patch as usize].links[edge][half];
+            let foreign = link.patch != NONE;
+            // Where the owner has place `i`: from `base` downwards.
+            let (base, stride) = match link.meeting {
+                Meeting::OwnIsHalf { upper } if foreign => (if upper { SIZE } else { SIZE / 2 }, step / 2),
+                Meeting::Whole if foreign && link.patch < patch => (SIZE, step),
+                _ => {
+                    for i in places {
+                        row[i] = own(if edge < 2 { i } else { count - i });
+                    }
+                    continue;
+                }
+            };
+            if places.is_empty() {
+                continue;
+            }
+            let first = base - (places.end - 1) as u32 * stride;
+            let last = base - places.start as u32 * stride;
+            let against = link.edge >= 2;
+            let (start, points) = (if against { SIZE - last } else { first }, &mut row[places]);
+            let fixed = if link.edge == 1 || link.edge == 2 { SIZE } else { 0 };
+            let (u0, v0, counts) = if link.edge.is_multiple_of(2) {
+                (start, fixed, [points.len(), 1])
+            } else {
+                (fixed, start, [1, points.len()])
+            };
+            let lattice = Lattice { u0, v0, step_u: stride, step_v: stride, stride: counts[0] };
+            self.patches[link.patch as usize].root.fill(SIZE, &lattice, counts, points, &self.context);
+            // Places run downwards along the owner's edge.
+            if !against {
+                points.reverse();
+            }
+        }
+        let link = self.patches[patch as usize].links[edge][0];
+        if count > 1 && link.patch != NONE && link.meeting == Meeting::OtherIsHalf {
+            row[count / 2] = self.corner(link.patch, 3);
+        }
+        if edge >= 2 {
+            row.reverse();
+        }
+        row
     }
 }
 

@@ -104,7 +104,7 @@ impl Surface {
             .fold(Aabb::EMPTY, |bounds, at| bounds.with_point(self.border_position(part, edge, at)))
     }
 
-    fn static_shifts(&self, patch: usize, edge: usize, levels: &[[u8; 2]]) -> [u8; 2] {
+    pub(crate) fn static_shifts(&self, patch: usize, edge: usize, levels: &[[u8; 2]]) -> [u8; 2] {
         let links = self.patches[patch].links[edge];
         let mut shifts = links.map(|link| {
             if link.patch == NONE {

@@ -28,9 +28,12 @@
 //! underflows, or so large that it might overflow, are left open (NaN).
 
 pub mod fan;
+mod grid;
 pub mod scalar;
 #[cfg(target_arch = "x86_64")]
 pub mod x86;
+
+pub use grid::{BoxBlock, CellBlock};
 
 use crate::Ray;
 

@@ -1,9 +1,10 @@
 //! The filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    ABOVE_SLOPE, BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, Lanes, SHEAR_ERROR,
-    TriangleBlock,
+    ABOVE_SLOPE, BlockMask, BlockRay, BoxBlock, CellBlock, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST,
+    Lanes, SHEAR_ERROR, TriangleBlock,
 };
+use crate::SlabRay;
 use std::arch::x86_64::*;
 
 /// Proof that this processor has AVX2, FMA, BMI1, LZCNT and POPCNT.
@@ -28,6 +29,13 @@ impl Avx2 {
         unsafe { above(block, origin, up) }
     }
 
+    /// The bits of [`BoxBlock::entered`]. Fast only when inlined into a function with these target features.
+    #[inline(always)]
+    pub fn entered(self, block: &BoxBlock, ray: &SlabRay) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { entered(block, ray) }
+    }
+
     /// Filters a block; see the [module](super).
     ///
     /// Fast only when inlined into a function with these target features.
@@ -50,6 +58,53 @@ pub(super) fn corner(block: &TriangleBlock, corner: usize, axis: usize) -> __m25
         )
     };
     _mm256_permutevar8x32_ps(vertices, _mm256_cvtepu8_epi32(lanes))
+}
+
+/// Coordinate `axis` of one corner of each triangle.
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn cell_corner(block: &CellBlock, corner: usize, axis: usize) -> __m256 {
+    let rows = block.rows(axis);
+    // SAFETY: a row is four floats.
+    let row = |j: usize| unsafe { _mm_loadu_ps(rows[j].as_ptr()) };
+    let (low, high) = match corner {
+        // Vertices 0 0 1 1, 3 3 4 4.
+        0 => (_mm_unpacklo_ps(row(0), row(0)), _mm_unpacklo_ps(row(1), row(1))),
+        // 1 4 2 5, 4 7 5 8.
+        1 => {
+            let [a, b, c] = [row(0), row(1), row(2)].map(|r| _mm_shuffle_ps::<0b11_10_10_01>(r, r));
+            (_mm_unpacklo_ps(a, b), _mm_unpacklo_ps(b, c))
+        }
+        // 4 3 5 4, 7 6 8 7.
+        _ => {
+            let [b, c] = [row(1), row(2)].map(|r| _mm_shuffle_ps::<0b01_10_00_01>(r, r));
+            (b, c)
+        }
+    };
+    _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(low), high)
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn entered(block: &BoxBlock, ray: &SlabRay) -> u32 {
+    let (mut entry, mut exit) = (_mm256_set1_ps(ray.tnear), _mm256_set1_ps(ray.tfar));
+    for axis in 0..3 {
+        let (base, step, planes) = block.parts(axis);
+        let backward = usize::from(ray.inv_near[axis] < 0.0);
+        let plane = |row: usize| {
+            // SAFETY: a row is eight bytes.
+            let numbers = unsafe { _mm_loadl_epi64(planes[row % 6].as_ptr().cast()) };
+            let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
+            // The product is exact, so that fusing changes nothing.
+            _mm256_fmadd_ps(numbers, _mm256_set1_ps(step), _mm256_set1_ps(base))
+        };
+        let near = _mm256_sub_ps(plane(2 * axis + backward), _mm256_set1_ps(ray.origin_near[axis]));
+        let far = _mm256_sub_ps(plane(2 * axis + 1 - backward), _mm256_set1_ps(ray.origin_far[axis]));
+        // `max` and `min` return the second operand for NaN, which drops it.
+        entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(ray.inv_near[axis])), entry);
+        exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(ray.inv_far[axis])), exit);
+    }
+    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
 }
 
 #[inline]

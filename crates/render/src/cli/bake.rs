@@ -26,6 +26,10 @@ pub struct BakeArguments {
     /// File to write: .ply or .obj with vertex colours, .png or .exr with --per texel, .ply with --points.
     #[arg(short, long)]
     output: PathBuf,
+    /// MESH is an .obj control mesh of a Catmull-Clark surface, creases included: its faces are cut into 2^LEVEL x 2^LEVEL
+    /// cells on the surface, whose vertices are baked.
+    #[arg(long, value_name = "LEVEL", num_args = 0..=1, require_equals = true, default_missing_value = "3")]
+    subdivide: Option<u8>,
     /// How occlusion is computed.
     #[arg(long, value_enum, default_value = "auto")]
     method: Method,
@@ -232,7 +236,11 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
 }
 
 fn read(arguments: &BakeArguments) -> Result<Input> {
-    let mesh = if is_mesh(&arguments.mesh) {
+    let mesh = if let Some(level) = arguments.subdivide {
+        let control = umbrage_scene::mesh_file::read_polygons(&arguments.mesh)?;
+        let source = || arguments.mesh.display().to_string();
+        crate::subdivide::mesh_at_level(&control, level).with_context(source)?
+    } else if is_mesh(&arguments.mesh) {
         read_mesh(&arguments.mesh)?
     } else {
         Scene::load(&arguments.mesh)?.flatten()

@@ -7,6 +7,7 @@ use crate::{
     geometry::Geometry,
     image::{self, ColorMap, Part, ShardSpec, names},
     render::{RenderOptions, Rendered, TILE, check_settings, render},
+    subdivide,
 };
 use anyhow::{Context, Result};
 use serde_json::json;
@@ -16,7 +17,7 @@ use std::{
     str::FromStr,
     time::Instant,
 };
-use umbrage_scene::{Ground, Scene};
+use umbrage_scene::{Ground, Scene, Settings};
 
 /// Renders a scene with soft shadows and ambient occlusion.
 ///
@@ -29,6 +30,9 @@ pub struct RenderArguments {
     /// .png.
     #[arg(short, long)]
     output: Option<PathBuf>,
+    /// SCENE is an .obj control mesh of a Catmull-Clark surface, creases included: micropolygons of about so many pixels.
+    #[arg(long, value_name = "PIXELS", num_args = 0..=1, require_equals = true, default_missing_value = "1")]
+    subdivide: Option<f32>,
     /// Shadow method [auto, bvh, prefilter].
     #[arg(long, value_name = "METHOD")]
     shadows: Option<String>,
@@ -80,8 +84,14 @@ pub fn run(arguments: &RenderArguments) -> Result<ExitCode> {
     });
     check_outputs(arguments, &output)?;
     let start = Instant::now();
-    let mut scene = load(&arguments.scene)?;
-    override_settings(&mut scene, arguments);
+    let scene = match arguments.subdivide {
+        Some(pixels) => load_surface(arguments, pixels)?,
+        None => {
+            let mut scene = load(&arguments.scene)?;
+            override_settings(&mut scene.settings, arguments);
+            scene
+        }
+    };
     check_settings(&scene.settings)?;
     let load_s = start.elapsed().as_secs_f64();
     bar.check()?;
@@ -117,8 +127,16 @@ pub(super) fn load(path: &Path) -> Result<Scene> {
     }
 }
 
-fn override_settings(scene: &mut Scene, arguments: &RenderArguments) {
-    let settings = &mut scene.settings;
+/// Reads a control mesh and puts its surface into a scene.
+fn load_surface(arguments: &RenderArguments, pixels: f32) -> Result<Scene> {
+    let path = &arguments.scene;
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let control = umbrage_scene::mesh_file::read_polygons(path)?;
+    let settings = |settings: &mut Settings| override_settings(settings, arguments);
+    subdivide::scene_around(&name, &control, pixels, settings).with_context(|| path.display().to_string())
+}
+
+fn override_settings(settings: &mut Settings, arguments: &RenderArguments) {
     if let Some(size) = arguments.size {
         (settings.width, settings.height) = (size.width, size.height);
     }

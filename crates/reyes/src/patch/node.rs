@@ -4,7 +4,11 @@
 //! Here: bounds, split, positions. Not here: how deep to go (`level.rs`), grids (`dice.rs`).
 
 use super::{Bicubic, Ring, weights};
-use crate::{subdiv::CreaseMethod, surface::LimitPoint};
+use crate::{
+    kernel::{Columns, Kernel, LANES},
+    subdiv::CreaseMethod,
+    surface::LimitPoint,
+};
 use std::{
     ops::Range,
     sync::{
@@ -24,6 +28,7 @@ const DEEPEST: u32 = 40;
 #[derive(Debug)]
 pub(crate) struct TreeContext {
     pub(crate) method: CreaseMethod,
+    pub(crate) kernel: Kernel,
     /// Whether bounds of bicubic patches are those of their Bezier points.
     pub(crate) bezier_bounds: bool,
     /// Bytes that nodes below the roots may take in all; beyond, they are made again each time.
@@ -230,7 +235,7 @@ impl Node {
             return;
         }
         match &self.kind {
-            Kind::Regular(patch) => return fill_regular(patch, place, lattice, &parts, out),
+            Kind::Regular(patch) => return fill_regular(patch, place, lattice, &parts, out, context.kernel),
             Kind::Irregular(_) if is_corners_only(place, lattice, &parts) => {}
             _ => {
                 let children = self.split(context);
@@ -352,17 +357,30 @@ fn fill_regular(
     lattice: &Lattice,
     [us, vs]: &[Range<usize>; 2],
     out: &mut [Vec3],
+    kernel: Kernel,
 ) {
     let at = |start: u32, i: usize, step: u32, origin: u32| {
         f64::from(start + i as u32 * step - origin) / f64::from(place.size)
     };
-    let columns: Vec<[f32; 4]> =
-        us.clone().map(|i| weights(at(lattice.u0, i, lattice.step_u, place.u))).collect();
-    for j in vs.clone() {
-        let [a, b, c, d] = patch.curve(weights(at(lattice.v0, j, lattice.step_v, place.v)));
-        let row = &mut out[j * lattice.stride..][us.clone()];
-        for (p, w) in row.iter_mut().zip(&columns) {
-            *p = ((a * w[0] + b * w[1]) + c * w[2]) + d * w[3];
+    // A row of a grid and a bit more; longer rows come in pieces.
+    const PIECE: usize = 8 * LANES;
+    let mut weights_known = [[0f32; 4]; PIECE];
+    let mut first = us.start;
+    while first < us.end {
+        let piece = first..us.end.min(first + PIECE);
+        let known = &mut weights_known[..piece.len()];
+        for (i, w) in known.iter_mut().enumerate() {
+            *w = weights(at(lattice.u0, first + i, lattice.step_u, place.u));
         }
+        let mut columns = [Columns::NONE; PIECE / LANES];
+        for (columns, weights) in columns.iter_mut().zip(known.chunks(LANES)) {
+            *columns = Columns::new(weights);
+        }
+        let columns = &columns[..piece.len().div_ceil(LANES)];
+        for j in vs.clone() {
+            let curve = patch.curve(weights(at(lattice.v0, j, lattice.step_v, place.v)));
+            kernel.row(&curve, known, columns, &mut out[j * lattice.stride..][piece.clone()]);
+        }
+        first = piece.end;
     }
 }

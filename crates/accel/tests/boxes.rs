@@ -1,0 +1,170 @@
+//! The hierarchy over boxes against loops over all of them.
+
+use proptest::prelude::*;
+use std::ops::ControlFlow;
+use umbrage_accel::{BoxBvh, BoxVisitor, BuildError, BuildQuality};
+use umbrage_geom::{Aabb, Ray, SlabRay};
+
+const QUALITIES: [BuildQuality; 2] = [BuildQuality::Fast, BuildQuality::High];
+
+fn coordinate() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        8 => -1f32..1.0,
+        2 => prop::sample::select(vec![0.0, -0.0, 0.25, 0.5, 1.0, -1.0]),
+        1 => prop::sample::select(vec![1e-40, -1e-30, 1e20, -1e12, 7e5]),
+    ]
+}
+
+fn vector() -> impl Strategy<Value = [f32; 3]> {
+    [coordinate(), coordinate(), coordinate()]
+}
+
+/// Random, flat, in one point, many times the same.
+fn boxes(most: usize) -> impl Strategy<Value = Vec<Aabb>> {
+    let one = (vector(), vector(), 0u8..8).prop_map(|(a, b, flat)| {
+        let b = [0, 1, 2].map(|axis| if flat >> axis & 1 == 1 { a[axis] } else { b[axis] });
+        Aabb::EMPTY.with_point(a).with_point(b)
+    });
+    (prop::collection::vec(one, 0..most), 1usize..4)
+        .prop_map(|(boxes, copies)| boxes.iter().flat_map(|&b| std::iter::repeat_n(b, copies)).collect())
+}
+
+fn rays() -> impl Strategy<Value = Ray> {
+    let ends = prop_oneof![Just((0f32, f32::INFINITY)), (0f32..1.0, 0f32..3.0).prop_map(|(a, b)| (a, a + b))];
+    (vector(), vector(), ends).prop_map(|(o, d, (tnear, tfar))| Ray { tnear, tfar, ..Ray::new(o, d) })
+}
+
+struct Collect(Vec<u32>);
+
+impl BoxVisitor for Collect {
+    fn visit(&mut self, index: u32) -> ControlFlow<(), f32> {
+        self.0.push(index);
+        ControlFlow::Continue(f32::INFINITY)
+    }
+}
+
+/// Boxes that the walk visits, each at most once.
+fn visited(bvh: &BoxBvh, ray: &Ray, sorted: bool) -> Vec<u32> {
+    let mut seen = Collect(Vec::new());
+    let flow = if sorted { bvh.walk_with(ray, &mut seen) } else { bvh.walk_unsorted(ray, &mut seen) };
+    assert!(flow.is_continue());
+    seen.0.sort_unstable();
+    let count = seen.0.len();
+    seen.0.dedup();
+    assert_eq!(seen.0.len(), count, "a box came twice");
+    seen.0
+}
+
+/// The box as wide as nodes may store it: to 8 bits of the largest thing around it.
+fn grown(aabb: &Aabb, whole: &Aabb) -> Aabb {
+    let room = whole.size() / 100.0 + whole.min.abs().max(whole.max.abs()) * 1e-5;
+    Aabb { min: aabb.min - room, max: aabb.max + room }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn no_box_that_a_segment_enters_is_missed(boxes in boxes(60), ray in rays()) {
+        for quality in QUALITIES {
+            let bvh = BoxBvh::build(&boxes, quality).unwrap();
+            let [sorted, unsorted] = [true, false].map(|sorted| visited(&bvh, &ray, sorted));
+            prop_assert_eq!(&sorted, &unsorted);
+            let mut by_closure = Vec::new();
+            let _ = bvh.walk(&ray, |index| {
+                by_closure.push(index);
+                ControlFlow::Continue(ray.tfar)
+            });
+            by_closure.sort_unstable();
+            prop_assert_eq!(&sorted, &by_closure);
+            let Some(slab) = SlabRay::new(&ray) else {
+                prop_assert!(sorted.is_empty());
+                continue;
+            };
+            let whole = boxes.iter().fold(Aabb::EMPTY, |all, b| all.union(*b));
+            for (index, aabb) in boxes.iter().enumerate() {
+                let seen = sorted.binary_search(&(index as u32)).is_ok();
+                prop_assert!(seen || !slab.surely_crosses(aabb), "box {} was missed", index);
+                // And few others are visited.
+                let near = slab.entry(&grown(aabb, &whole), slab.tfar).is_some();
+                prop_assert!(near || !seen, "box {} is far from the ray", index);
+            }
+        }
+    }
+
+    /// Ends that the visitor gives cut the walk, and the box that the segment enters first is never among what is cut.
+    #[test]
+    fn walks_end_where_the_visitor_says(boxes in boxes(60), ray in rays()) {
+        for quality in QUALITIES {
+            let bvh = BoxBvh::build(&boxes, quality).unwrap();
+            let entry = |index: u32| {
+                let b = &boxes[index as usize];
+                let (d, o) = (ray.direction.as_dvec3(), ray.origin.as_dvec3());
+                let ends = [(b.min.as_dvec3() - o) / d, (b.max.as_dvec3() - o) / d];
+                ends[0].min(ends[1]).max_element().max(ray.tnear.into())
+            };
+            let all = visited(&bvh, &ray, true);
+            let nearest = |some: &[u32]| some.iter().map(|&i| entry(i)).fold(f64::INFINITY, f64::min);
+            let (mut tfar, mut seen) = (ray.tfar, Vec::new());
+            let _ = bvh.walk(&ray, |index| {
+                seen.push(index);
+                // The hit is where the box starts.
+                tfar = tfar.min(entry(index).max(0.0) as f32);
+                ControlFlow::Continue(tfar)
+            });
+            prop_assert!(seen.len() <= all.len());
+            prop_assert!(seen.iter().all(|index| all.contains(index)));
+            let (found, best) = (nearest(&seen), nearest(&all));
+            prop_assert!(found <= best * (1.0 + 1e-5) + 1e-30 || found.is_nan() || best.is_nan());
+        }
+    }
+
+    #[test]
+    fn visitors_can_stop(boxes in boxes(40), ray in rays(), after in 1usize..5) {
+        let bvh = BoxBvh::build(&boxes, BuildQuality::High).unwrap();
+        let count = visited(&bvh, &ray, true).len();
+        let mut seen = 0;
+        let flow = bvh.walk(&ray, |_| {
+            seen += 1;
+            if seen == after { ControlFlow::Break(()) } else { ControlFlow::Continue(ray.tfar) }
+        });
+        prop_assert_eq!(flow.is_break(), count >= after);
+        prop_assert_eq!(seen, count.min(after));
+    }
+
+    #[test]
+    fn bounds_hold_all_boxes(boxes in boxes(40)) {
+        for quality in QUALITIES {
+            let bounds = BoxBvh::build(&boxes, quality).unwrap().bounds();
+            prop_assert_eq!(bounds.is_empty(), boxes.is_empty());
+            for b in &boxes {
+                prop_assert!(bounds.min.cmple(b.min).all() && bounds.max.cmpge(b.max).all());
+            }
+        }
+    }
+}
+
+#[test]
+fn bad_boxes_are_named_and_bad_rays_miss() {
+    let unit = Aabb::EMPTY.with_point([0.0; 3]).with_point([1.0; 3]);
+    let nan = Aabb { min: [f32::NAN; 3].into(), ..unit };
+    let endless = Aabb { max: [f32::INFINITY; 3].into(), ..unit };
+    for bad in [Aabb::EMPTY, nan, endless] {
+        let error = BoxBvh::build(&[unit, unit, bad], BuildQuality::Fast).unwrap_err();
+        assert!(matches!(error, BuildError::Box { index: 2 }), "{error}");
+    }
+    let none = BoxBvh::build(&[], BuildQuality::High).unwrap();
+    let ray = Ray::new([0.5, 0.5, -1.0], [0.0, 0.0, 1.0]);
+    assert!(visited(&none, &ray, true).is_empty() && visited(&none, &ray, false).is_empty());
+    let one = BoxBvh::build(&[unit], BuildQuality::High).unwrap();
+    assert_eq!(visited(&one, &ray, true), [0]);
+    assert!(one.bytes() > 0);
+    for bad in [
+        Ray::new([f32::NAN; 3], [0.0, 0.0, 1.0]),
+        Ray::new([0.5; 3], [0.0; 3]),
+        Ray::new([0.5; 3], [f32::INFINITY, 0.0, 0.0]),
+        ray.with_tfar(-1.0),
+    ] {
+        assert!(visited(&one, &bad, true).is_empty() && visited(&one, &bad, false).is_empty());
+    }
+}

@@ -1,0 +1,279 @@
+//! A surface at one rate a patch, chosen once for all rays, such as by the camera of a picture.
+
+use crate::{
+    Surface, SurfaceError, SurfaceHit,
+    cells::Cells,
+    dice::{GridKey, Stitch},
+    grid::GridRay,
+    length::{MAX_LEVEL, cell},
+    patch::Lattice,
+    surface::{LimitPoint, SIZE},
+};
+use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
+use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality};
+use umbrage_geom::{MeshError, Ray, TriangleHit, TriangleMesh, glam::Vec3, mesh::MAX_ELEMENTS};
+
+/// Segments of an edge or middle line by which its length is measured.
+const SEGMENTS: usize = 2;
+
+/// Boxes up to which the hierarchy is built with care.
+const CAREFUL: usize = 1 << 15;
+
+/// Where a ray meets a [`RatedSurface`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RatedHit {
+    /// The hit.
+    pub hit: SurfaceHit,
+    /// Triangle of the patch: two for each cell, cells row by row.
+    pub triangle: u32,
+}
+
+/// A surface whose patches have one rate each, the same for all rays: one watertight mesh.
+///
+/// Against [`crate::SurfaceTracer`], which chooses rates by each ray's footprint and makes what rays reach, all is made at the
+/// start, nothing has to be decided along a ray, and a micropolygon takes some 15 bytes. Rates by a camera suit pictures;
+/// occluders far from it may be coarser than a ray that starts beside them would ask for.
+pub struct RatedSurface {
+    surface: Arc<Surface>,
+    bvh: BoxBvh,
+    levels: Vec<[u8; 2]>,
+    cells: Cells,
+}
+
+impl RatedSurface {
+    /// Each patch divided into `2^levels` cells along `u` and `v`, raised to what quadrilaterals beside other faces need.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Option`] for a level beyond [`MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices;
+    /// [`SurfaceError::Build`].
+    pub fn new(surface: Arc<Surface>, levels_of: impl Fn(u32) -> [u8; 2]) -> Result<Self, SurfaceError> {
+        let levels: Vec<[u8; 2]> = (0..surface.patch_count() as u32)
+            .map(|i| levels_of(i).map(|l| l.max(surface.least_level(i))))
+            .collect();
+        if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
+            let value = level.into();
+            return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
+        }
+        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
+        if count > MAX_ELEMENTS / 2 {
+            return Err(MeshError::TooMany { what: "vertices", count }.into());
+        }
+        let mut cells = Cells::new(&levels);
+        let mut boxes = Vec::new();
+        let (mut positions, mut parameters) = (Vec::new(), Vec::new());
+        for patch in 0..surface.patch_count() as u32 {
+            let key = key(&surface, &levels, patch);
+            let counts = key.levels.map(|l| (1usize << l) + 1);
+            positions.resize(counts[0] * counts[1], Vec3::ZERO);
+            parameters.resize(positions.len(), [0.0; 2]);
+            surface.place_vertices(&key, counts, &mut positions, &mut parameters);
+            cells.push(&positions, !key.stitch.is_none(), &mut boxes);
+        }
+        let quality = if boxes.len() <= CAREFUL { BuildQuality::High } else { BuildQuality::Fast };
+        Ok(Self { bvh: BoxBvh::build(&boxes, quality)?, cells, levels, surface })
+    }
+
+    /// Rates by a camera at `eye`, for which `width` is the size of a micropolygon at distance 1: their edges are about that
+    /// long (between 0.7 and 1.4 times as long where patches are evenly parametrized), measured along the edges and middle
+    /// lines of each patch. At most `max_level` halvings, also where the eye is on the surface.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`SurfaceError::Option`] if the width is not positive, the eye not finite or the level beyond
+    /// [`MAX_LEVEL`].
+    pub fn for_eye(
+        surface: Arc<Surface>,
+        eye: Vec3,
+        width: f32,
+        max_level: u8,
+    ) -> Result<Self, SurfaceError> {
+        if !(width > 0.0 && width.is_finite() && eye.is_finite()) {
+            let value = width.into();
+            return Err(SurfaceError::Option { name: "width", value, expected: "a positive number" });
+        }
+        if max_level > MAX_LEVEL {
+            let value = max_level.into();
+            return Err(SurfaceError::Option { name: "max_level", value, expected: "0 to 12" });
+        }
+        let rates = Arc::clone(&surface);
+        Self::new(surface, |patch| rates.levels_for_eye(patch, eye, f64::from(width), max_level))
+    }
+
+    /// The surface.
+    pub fn surface(&self) -> &Surface {
+        &self.surface
+    }
+
+    /// Rates of a patch.
+    ///
+    /// # Panics
+    /// If `patch` is out of range.
+    pub fn levels(&self, patch: u32) -> [u8; 2] {
+        self.levels[patch as usize]
+    }
+
+    /// Number of micropolygons.
+    pub fn micropolygons(&self) -> u64 {
+        self.levels.iter().map(|l| 1 << (l[0] + l[1])).sum()
+    }
+
+    /// Bytes of micropolygons and their hierarchy, the surface left out.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.levels[..]) + self.bvh.bytes() + self.cells.bytes()
+    }
+
+    /// Whether the open segment meets the mesh, by `geom`'s exact predicate. Rays that are not [valid](Ray::is_valid) miss.
+    pub fn any_hit(&self, ray: &Ray) -> bool {
+        let Some(grid_ray) = GridRay::new(ray) else { return false };
+        let mut visitor = Visitor::<true> { surface: self, ray: grid_ray, closest: None };
+        self.bvh.walk_unsorted(ray, &mut visitor).is_break()
+    }
+
+    /// The hit with the smallest `t`; ties go to the first patch.
+    pub fn closest_hit(&self, ray: &Ray) -> Option<RatedHit> {
+        let mut visitor = Visitor::<false> { surface: self, ray: GridRay::new(ray)?, closest: None };
+        let _ = self.bvh.walk_with(ray, &mut visitor);
+        let (patch, hit, triangle) = visitor.closest?;
+        let (u, v) = self.parameters(patch, triangle, hit.u, hit.v);
+        let levels = self.levels[patch as usize];
+        Some(RatedHit { hit: SurfaceHit { t: hit.t, patch, u, v, levels, front: hit.front }, triangle })
+    }
+
+    /// The triangle that was hit.
+    pub fn corners(&self, hit: &RatedHit) -> [[f32; 3]; 3] {
+        self.cells.corners(self.cells.patch(hit.hit.patch), hit.triangle)
+    }
+
+    /// The limit surface at a hit.
+    pub fn limit(&self, hit: &RatedHit) -> LimitPoint {
+        self.surface.limit(hit.hit.patch, hit.hit.u, hit.hit.v)
+    }
+
+    /// All micropolygons as one mesh with the limit surface's normals and texture coordinates: vertices of the same bits are
+    /// one, and cells that stitching collapsed are left out. Triangles of a face of the control mesh are together, in its
+    /// order.
+    pub fn to_mesh(&self) -> TriangleMesh {
+        let mut mesh = TriangleMesh::default();
+        let mut known: HashMap<[u32; 3], u32> = HashMap::new();
+        let has_uvs = self.surface.uv(0, 0.0, 0.0).is_some();
+        for patch in 0..self.levels.len() as u32 {
+            let (cells, key) = (self.cells.patch(patch), key(&self.surface, &self.levels, patch));
+            let columns = (1usize << key.levels[0]) + 1;
+            let rows = (1usize << key.levels[1]) + 1;
+            let mut indices = Vec::with_capacity(columns * rows);
+            let mut normals = Vec::with_capacity(columns * rows);
+            let mut uvs = Vec::new();
+            for v in 0..columns * rows {
+                // Adding 0 makes one of both zeros.
+                let position = self.cells.vertex(cells, v).map(|x| x + 0.0);
+                indices.push(*known.entry(position.map(f32::to_bits)).or_insert_with(|| {
+                    mesh.positions.push(position);
+                    mesh.positions.len() as u32 - 1
+                }));
+                let [s, t] = key.moved([v % columns, v / columns]);
+                normals.push(self.surface.limit(patch, s, t).normal.to_array());
+                uvs.extend(self.surface.uv(patch, s, t).map(|uv| uv.to_array()));
+            }
+            for triangle in 0..2 << (key.levels[0] + key.levels[1]) {
+                let corners = cells.triangle(triangle);
+                let [a, b, c] = corners.map(|v| indices[v]);
+                if a == b || b == c || c == a {
+                    continue;
+                }
+                mesh.triangles.push([a, b, c]);
+                mesh.corner_normals.push(corners.map(|v| normals[v]));
+                if has_uvs {
+                    mesh.corner_uvs.push(corners.map(|v| uvs[v]));
+                }
+            }
+        }
+        mesh
+    }
+
+    /// Parameters at barycentric weights of the second and third corner of a triangle.
+    fn parameters(&self, patch: u32, triangle: u32, second: f32, third: f32) -> (f32, f32) {
+        let key = key(&self.surface, &self.levels, patch);
+        let columns = (1usize << key.levels[0]) + 1;
+        let [a, b, c] =
+            self.cells.patch(patch).triangle(triangle).map(|v| key.moved([v % columns, v / columns]));
+        let mix = |k: usize| a[k] * (1.0 - second - third) + b[k] * second + c[k] * third;
+        (mix(0).clamp(0.0, 1.0), mix(1).clamp(0.0, 1.0))
+    }
+}
+
+/// The whole patch, its borders as coarse as its neighbours'.
+fn key(surface: &Surface, levels: &[[u8; 2]], patch: u32) -> GridKey {
+    let mut stitch = Stitch::default();
+    for edge in 0..4 {
+        stitch = stitch.with(edge, surface.static_shifts(patch as usize, edge, levels));
+    }
+    GridKey { patch, depth: 0, levels: levels[patch as usize], place: [0, 0], stitch }
+}
+
+/// Looks for hits node by node.
+struct Visitor<'a, const ANY: bool> {
+    surface: &'a RatedSurface,
+    ray: GridRay,
+    /// Patch, hit, triangle.
+    closest: Option<(u32, TriangleHit, u32)>,
+}
+
+impl<const ANY: bool> BoxVisitor for Visitor<'_, ANY> {
+    #[inline(always)]
+    fn visit(&mut self, node: u32) -> ControlFlow<(), f32> {
+        let cells = &self.surface.cells;
+        let mut found = None;
+        if cells.trace::<ANY>(node, &mut self.ray, &mut found) && ANY {
+            return ControlFlow::Break(());
+        }
+        if let Some((hit, triangle)) = found {
+            let patch = cells.patch_of(node);
+            let nearer = match &self.closest {
+                Some((old_patch, old, old_triangle)) => {
+                    hit.t < old.t || (hit.t == old.t && (patch, triangle) < (*old_patch, *old_triangle))
+                }
+                None => true,
+            };
+            if nearer {
+                self.closest = Some((patch, hit, triangle));
+            }
+        }
+        ControlFlow::Continue(match &self.closest {
+            Some((_, hit, _)) => hit.t,
+            None => self.ray.ray.tfar,
+        })
+    }
+}
+
+impl Surface {
+    /// Levels at which the edges of micropolygons are about as long as `width` times their distance from `eye`.
+    fn levels_for_eye(&self, patch: u32, eye: Vec3, width: f64, max_level: u8) -> [u8; 2] {
+        const LINE: usize = SEGMENTS + 1;
+        let least = self.least_level(patch);
+        let most = max_level.max(least);
+        let mut points = [Vec3::ZERO; LINE * LINE];
+        let step = SIZE / SEGMENTS as u32;
+        let lattice = Lattice { u0: 0, v0: 0, step_u: step, step_v: step, stride: LINE };
+        self.patches[patch as usize].root.fill(SIZE, &lattice, [LINE; 2], &mut points, &self.context);
+        let eye = eye.as_dvec3();
+        let mut levels = [least; 2];
+        for (axis, line) in (0..2).flat_map(|axis| (0..LINE).map(move |line| (axis, line))) {
+            let point = |i: usize| {
+                let [u, v] = if axis == 0 { [i, line] } else { [line, i] };
+                points[v * LINE + u].as_dvec3()
+            };
+            let mut before = point(0);
+            let (mut longest, mut nearest) = (0f64, before.distance(eye));
+            for i in 1..LINE {
+                let next = point(i);
+                longest = longest.max(next.distance(before));
+                nearest = nearest.min(next.distance(eye));
+                before = next;
+            }
+            // To the nearest power of two.
+            let length = longest * SEGMENTS as f64 * std::f64::consts::FRAC_1_SQRT_2;
+            let fits = |&l: &u8| length * cell(l) <= nearest * width;
+            levels[axis] = levels[axis].max((least..most).find(fits).unwrap_or(most));
+        }
+        levels
+    }
+}

@@ -1,0 +1,151 @@
+//! Surfaces at rates chosen once: rays against the mesh, watertightness, back ends.
+
+mod common;
+
+use common::{cube, sheet, zoo};
+use std::{collections::HashMap, sync::Arc};
+use umbrage_accel::{BackEnd, BuildOptions, Bvh};
+use umbrage_geom::{
+    PolygonMesh, Ray, TriangleMesh,
+    glam::Vec3,
+    sampling::{hash, sobol_4d, unit},
+};
+use umbrage_reyes::{RatedSurface, Surface, SurfaceError, SurfaceOptions};
+
+fn surface(mesh: &PolygonMesh) -> Arc<Surface> {
+    Arc::new(Surface::build(mesh, &SurfaceOptions::default()).unwrap())
+}
+
+/// Levels without any order.
+fn wild(mesh: &PolygonMesh, most: u32) -> RatedSurface {
+    RatedSurface::new(surface(mesh), |patch| {
+        [hash(patch), hash(patch + 1000)].map(|x| (x % (most + 1)) as u8)
+    })
+    .unwrap()
+}
+
+fn rays(surface: &Surface) -> impl Iterator<Item = Ray> {
+    let (low, size) = (surface.bounds().min, surface.bounds().size());
+    (0..500u32).map(move |i| {
+        let (x, y) = (sobol_4d(i, 0, 5), sobol_4d(i, 1, 5));
+        let at = |x: [f32; 4]| low + size * (1.6 * Vec3::new(x[0], x[1], x[2]) - 0.3);
+        Ray::between(at(x), at(y)).with_tfar(if i % 3 == 0 { 0.5 } else { f32::INFINITY })
+    })
+}
+
+/// Rays see what they see of the mesh as a triangle soup.
+#[test]
+fn rays_agree_with_the_triangles() {
+    for (name, mesh) in zoo() {
+        for most in [0, 2, 5] {
+            let rated = wild(&mesh, most);
+            let soup = rated.to_mesh();
+            let bvh = Bvh::build(&soup.positions, &soup.triangles, &BuildOptions::default()).unwrap();
+            let mut hits = 0;
+            for ray in rays(rated.surface()) {
+                let expected = bvh.closest_hit(&ray);
+                let hit = rated.closest_hit(&ray);
+                assert_eq!(hit.map(|h| h.hit.t), expected.map(|h| h.t), "{name}, {most}");
+                assert_eq!(rated.any_hit(&ray), expected.is_some(), "{name}, {most}");
+                let Some(hit) = hit else { continue };
+                hits += 1;
+                let found = umbrage_geom::intersect_triangle(&ray, rated.corners(&hit)).unwrap();
+                assert!(found.t == hit.hit.t && found.front == hit.hit.front);
+                assert_eq!(hit.hit.levels, rated.levels(hit.hit.patch));
+                // The limit surface at the hit's parameters is within a cell.
+                let size = rated.corners(&hit).map(Vec3::from);
+                let cell = size[0].distance(size[1]).max(size[0].distance(size[2]));
+                let off = rated.limit(&hit).position.distance(ray.at(hit.hit.t));
+                assert!(off <= cell.max(0.02 * rated.surface().bounds().diagonal()), "{name}, {most}: {off}");
+            }
+            assert!(hits > 30, "{name}, {most}: {hits}");
+        }
+    }
+}
+
+/// Every edge of a closed surface has two triangles that run along it in opposite directions.
+#[test]
+fn closed_surfaces_stay_closed() {
+    for (name, mesh) in zoo() {
+        if name.contains("sheet") || name == "dart" || name == "one quad" {
+            continue;
+        }
+        for most in [1, 4, 6] {
+            let TriangleMesh { triangles, .. } = wild(&mesh, most).to_mesh();
+            let mut balance: HashMap<[u32; 2], i32> = HashMap::new();
+            for [a, b, c] in triangles {
+                for [p, q] in [[a, b], [b, c], [c, a]] {
+                    *balance.entry([p.min(q), p.max(q)]).or_default() += if p < q { 1 } else { -1 };
+                }
+            }
+            let open = balance.values().filter(|&&count| count != 0).count();
+            assert_eq!(open, 0, "{name}, levels up to {most}");
+        }
+    }
+}
+
+/// Points don't depend on instructions, nor on what the trees of patches may keep.
+#[test]
+fn back_ends_give_the_same_mesh() {
+    for (name, mesh) in zoo() {
+        let meshes = [BackEnd::Scalar, BackEnd::Avx2, BackEnd::Avx512].map(|back_end| {
+            let options = SurfaceOptions::default().with_back_end(back_end).with_tree_bytes(0);
+            let surface = Arc::new(Surface::build(&mesh, &options).unwrap());
+            RatedSurface::new(surface, |patch| [(patch % 6) as u8, (patch % 5) as u8]).unwrap().to_mesh()
+        });
+        assert_eq!(meshes[0], meshes[1], "{name}");
+        assert_eq!(meshes[0], meshes[2], "{name}");
+        let kept = RatedSurface::new(surface(&mesh), |patch| [(patch % 6) as u8, (patch % 5) as u8]);
+        assert_eq!(kept.unwrap().to_mesh(), meshes[0], "{name}");
+    }
+}
+
+#[test]
+fn an_eye_sees_even_micropolygons() {
+    // A flat sheet of unit squares, seen from above its middle.
+    let rated =
+        RatedSurface::for_eye(surface(&sheet(8, |_, _| 0.0)), Vec3::new(4.0, 4.0, 10.0), 0.01, 10).unwrap();
+    let mesh = rated.to_mesh();
+    for [a, b, _] in &mesh.triangles {
+        let [a, b] = [a, b].map(|&v| Vec3::from(mesh.positions[v as usize]));
+        let pixels = a.distance(b) / (0.01 * a.distance(Vec3::new(4.0, 4.0, 10.0)));
+        assert!((0.4..=2.1).contains(&pixels), "{pixels}");
+    }
+    // Nearer eyes ask for finer rates, up to the level given.
+    let levels = |z: f32| {
+        let surface = surface(&sheet(3, |_, _| 0.0));
+        RatedSurface::for_eye(surface, Vec3::new(1.5, 1.5, z), 0.05, 7).unwrap().levels(4)
+    };
+    assert_eq!(levels(0.0), [7, 7]);
+    let all: Vec<u8> = [0.1, 0.5, 2.0, 8.0, 100.0].map(|z| levels(z)[0]).to_vec();
+    assert!(all.is_sorted_by(|a, b| a >= b) && all[0] > all[4] + 3, "{all:?}");
+}
+
+#[test]
+fn meshes_carry_normals_and_texture() {
+    let mut control = sheet(3, |i, j| unit(i * 7 + j));
+    control.corner_uvs = control.corners.iter().map(|&v| [(v % 4) as f32, (v / 4) as f32]).collect();
+    let mesh = RatedSurface::new(surface(&control), |_| [3, 2]).unwrap().to_mesh();
+    assert_eq!(mesh.corner_uvs.len(), mesh.triangles.len());
+    assert!(mesh.validate().is_ok());
+    assert!(mesh.corner_uvs.as_flattened().as_flattened().iter().all(|&x| (-1e-6..=3.000_001).contains(&x)));
+    assert!(mesh.corner_normals.as_flattened().iter().all(|&n| (Vec3::from(n).length() - 1.0).abs() < 1e-5));
+}
+
+#[test]
+fn bad_rates_are_named() {
+    let error = |result: Result<RatedSurface, SurfaceError>, expected: &str| match result.err() {
+        Some(SurfaceError::Option { name, .. }) => assert_eq!(name, expected),
+        other => panic!("{expected}: {other:?}"),
+    };
+    error(RatedSurface::new(surface(&cube()), |_| [13, 0]), "level");
+    for width in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        error(RatedSurface::for_eye(surface(&cube()), Vec3::ZERO, width, 5), "width");
+    }
+    error(RatedSurface::for_eye(surface(&cube()), Vec3::NAN, 1.0, 5), "width");
+    error(RatedSurface::for_eye(surface(&cube()), Vec3::ZERO, 1.0, 13), "max_level");
+    let rated = RatedSurface::new(surface(&cube()), |_| [2, 2]).unwrap();
+    for bad in [Ray::new([f32::NAN; 3], [0.0, 0.0, 1.0]), Ray::new([0.0; 3], [0.0; 3])] {
+        assert!(!rated.any_hit(&bad) && rated.closest_hit(&bad).is_none());
+    }
+}
