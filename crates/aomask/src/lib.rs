@@ -4,6 +4,7 @@
 mod drive;
 mod error;
 pub mod exact;
+mod gather;
 mod kernel;
 mod options;
 pub mod pattern;

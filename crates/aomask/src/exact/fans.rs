@@ -5,9 +5,9 @@
 
 use super::{
     TURNS,
-    goal::{Blocked, Dimmed, any_hit},
+    goal::{Blocked, Dimmed, Hit, Nearest},
     kernel::{self, Hull, Job, Kernel},
-    rays::{Cone, GROUP, RAYS, unit},
+    rays::{Cone, GROUP, GROUPS, RAYS, unit},
     take_turns,
     walk::{Goal, Walk},
 };
@@ -46,19 +46,23 @@ pub fn any_hits(
 /// [`OpticalDepth::OPAQUE`] as soon as nothing gets through. Rays as for [`any_hits`].
 ///
 /// # Errors
-/// As for [`any_hits`].
+/// As for [`any_hits`]; [`MaskError::Unsupported`] for [`Sides::FrontFirst`].
 pub fn transmittances(
     bvh: &Bvh,
     rays: &[Ray],
     per_fan: usize,
+    sides: Sides,
     depth_of: impl Fn(u32) -> OpticalDepth + Sync,
     back_end: BackEnd,
     sums: &mut [OpticalDepth],
 ) -> Result<(), MaskError> {
     check(rays, per_fan, back_end, sums.len())?;
+    if sides == Sides::FrontFirst {
+        return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
+    }
     let depth_of = &depth_of;
     let job = |walks: &mut Box<[Walk]>, (rays, sums): (&[Ray], &mut [OpticalDepth])| {
-        kernel::run(back_end, Transmittances { bvh, rays, per_fan, depth_of, sums, walks });
+        kernel::run(back_end, Transmittances { bvh, rays, per_fan, sides, depth_of, sums, walks });
     };
     in_blocks(rays, per_fan, sums, job);
     Ok(())
@@ -115,16 +119,16 @@ fn hull(rays: &[Ray]) -> Hull {
     Hull::new(reach, up.to_array(), cone.axis.to_array(), cone.angle)
 }
 
-/// Lets all rays walk; `end` is told the first ray of each walk that has ended.
+/// Lets all rays walk; `end` is told the first ray of each walk that has ended, and its rays that are blocked, eight a byte.
 #[inline(always)]
-fn walk_all<K: Kernel>(
+fn walk_all<K: Kernel, G: Goal>(
     kernel: K,
     bvh: &Bvh,
     rays: &[Ray],
     per_fan: usize,
     walks: &mut [Walk],
-    goal: &mut impl Goal,
-    mut end: impl FnMut(&Walk, &[Ray]),
+    goal: &mut G,
+    mut end: impl FnMut(usize, usize, &[u8; GROUPS]),
 ) {
     let mut next = 0;
     let start = |walk: &mut Walk| {
@@ -139,15 +143,20 @@ fn walk_all<K: Kernel>(
         next += len;
         true
     };
-    take_turns(kernel, bvh, walks, goal, start, |walk| {
+    take_turns(kernel, bvh, walks, goal, start, |walk, goal| {
         let len = (per_fan - walk.item % per_fan).min(RAYS);
-        end(walk, &rays[walk.item..walk.item + len]);
+        let mut blocked = walk.done;
+        for (g, (blocked, &closed)) in
+            blocked.iter_mut().zip(&walk.rays.closed).enumerate().take(len.div_ceil(GROUP))
+        {
+            *blocked &= !closed;
+            for i in (0..GROUP.min(len - g * GROUP)).filter(|&i| closed >> i & 1 == 1) {
+                let index = walk.item + g * GROUP + i;
+                *blocked |= u8::from(goal.alone(bvh, index, &rays[index])) << i;
+            }
+        }
+        end(walk.item, len, &blocked);
     });
-}
-
-/// Whether ray number `i` of `walk` could walk.
-fn walked(walk: &Walk, i: usize) -> bool {
-    walk.rays.closed[i / GROUP] >> (i % GROUP) & 1 == 0
 }
 
 struct AnyHits<'a> {
@@ -165,11 +174,16 @@ impl Job for AnyHits<'_> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
         let Self { bvh, rays, per_fan, sides, hits, walks } = self;
-        let mut goal = Blocked { sides };
-        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |walk, rays| {
-            for (i, ray) in rays.iter().enumerate() {
-                let done = walk.done[i / GROUP] >> (i % GROUP) & 1 == 1;
-                hits[walk.item + i] = if walked(walk, i) { done } else { any_hit(bvh, ray, sides) };
+        if sides == Sides::FrontFirst {
+            let mut nearest = vec![Hit::NONE; rays.len()];
+            let mut goal = Nearest { sides, hits: &mut nearest };
+            walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |_, _, _| {});
+            hits.iter_mut().zip(nearest).for_each(|(blocked, hit)| *blocked = hit.blocks(sides));
+            return;
+        }
+        walk_all(kernel, bvh, rays, per_fan, walks, &mut Blocked { sides }, |first, len, blocked| {
+            for (i, hit) in hits[first..first + len].iter_mut().enumerate() {
+                *hit = blocked[i / GROUP] >> (i % GROUP) & 1 == 1;
             }
         });
     }
@@ -179,6 +193,7 @@ struct Transmittances<'a, F> {
     bvh: &'a Bvh,
     rays: &'a [Ray],
     per_fan: usize,
+    sides: Sides,
     depth_of: &'a F,
     sums: &'a mut [OpticalDepth],
     walks: &'a mut [Walk],
@@ -189,18 +204,12 @@ impl<F: Fn(u32) -> OpticalDepth> Job for Transmittances<'_, F> {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let Self { bvh, rays, per_fan, depth_of, sums, walks } = self;
+        let Self { bvh, rays, per_fan, sides, depth_of, sums, walks } = self;
         sums.fill(OpticalDepth::CLEAR);
-        let mut alone = Vec::new();
-        let mut goal = Dimmed { sums, depth_of };
-        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |walk, rays| {
-            alone.extend((0..rays.len()).filter(|&i| !walked(walk, i)).map(|i| walk.item + i));
-        });
+        let mut goal = Dimmed { sides, sums, depth_of };
+        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |_, _, _| {});
         for sum in sums.iter_mut().filter(|sum| sum.is_opaque()) {
             *sum = OpticalDepth::OPAQUE;
-        }
-        for i in alone {
-            sums[i] = bvh.transmittance(&rays[i], depth_of);
         }
     }
 }

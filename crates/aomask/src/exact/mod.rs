@@ -13,13 +13,15 @@ mod rays;
 mod walk;
 
 use crate::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver,
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
     drive::{self, Engine},
+    gather::Answers,
 };
-use goal::{Blocked, any_hit};
+use goal::{Blocked, Dimmed, Hit, Nearest};
 use kernel::{Hull, Job, Kernel};
 use rays::{GROUP, Part};
 use umbrage_accel::Bvh;
+use umbrage_geom::OpticalDepth;
 use walk::{Goal, Walk};
 
 /// Walks that take turns, so that one works while others wait for memory.
@@ -30,8 +32,9 @@ const TURNS: usize = 8;
 /// that end at exactly 1, from any thread, and returns `false` to cancel.
 ///
 /// # Errors
-/// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`],
-/// [`MaskError::Normal`], [`MaskError::BackEnd`], [`MaskError::Cancelled`]. The outputs are as they were then.
+/// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Sectors`],
+/// [`MaskError::Point`], [`MaskError::Normal`], [`MaskError::BackEnd`], [`MaskError::Cancelled`]. The outputs are as they
+/// were then.
 #[allow(clippy::too_many_arguments)] // what there is to say
 pub fn answer(
     bvh: &Bvh,
@@ -43,14 +46,49 @@ pub fn answer(
     outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), MaskError> {
-    if !back_end.is_supported() {
-        return Err(MaskError::BackEnd(back_end));
-    }
-    options.validate(pattern)?;
     let receivers = drive::receivers(points, normals, options.seed)?;
-    let parts = rays::parts(pattern, options.radius);
-    let engine = Masks { bvh, pattern, options, back_end, parts };
-    drive::run(&engine, pattern, options, &receivers, outputs, progress)
+    answer_receivers(bvh, pattern, &receivers, options, back_end, outputs, progress)
+}
+
+/// [`answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
+///
+/// # Errors
+/// As for [`answer`], but for points and normals.
+pub fn answer_receivers(
+    bvh: &Bvh,
+    pattern: &Pattern,
+    receivers: &[Receiver],
+    options: &MaskOptions,
+    back_end: BackEnd,
+    outputs: Outputs<'_>,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), MaskError> {
+    let engine = Masks::new(bvh, pattern, options, back_end, &outputs)?;
+    drive::run(&engine, pattern, options, receivers, outputs, progress)
+}
+
+/// [`answer_receivers`] among semi-transparent triangles: a ray passes the product of what all triangles that it hits let
+/// through, each counted once, `depth_of(index of the triangle)`. `ao`, bent normals and sectors are means over the rays of
+/// what passes; masks have the rays that nothing passes; distances are those of the nearest hits, however transparent.
+///
+/// # Errors
+/// As for [`answer_receivers`]; [`MaskError::Unsupported`] for [`Sides::FrontFirst`].
+#[allow(clippy::too_many_arguments)] // what there is to say
+pub fn transmit(
+    bvh: &Bvh,
+    depth_of: impl Fn(u32) -> OpticalDepth + Sync,
+    pattern: &Pattern,
+    receivers: &[Receiver],
+    options: &MaskOptions,
+    back_end: BackEnd,
+    outputs: Outputs<'_>,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), MaskError> {
+    if options.sides == Sides::FrontFirst {
+        return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
+    }
+    let masks = Masks::new(bvh, pattern, options, back_end, &outputs)?;
+    drive::run(&Veils { masks, depth_of }, pattern, options, receivers, outputs, progress)
 }
 
 /// What all receivers of a call share.
@@ -59,7 +97,49 @@ struct Masks<'a> {
     pattern: &'a Pattern,
     options: &'a MaskOptions,
     back_end: BackEnd,
+    /// Whether distances are asked for.
+    distances: bool,
     parts: Vec<Part>,
+}
+
+impl<'a> Masks<'a> {
+    fn new(
+        bvh: &'a Bvh,
+        pattern: &'a Pattern,
+        options: &'a MaskOptions,
+        back_end: BackEnd,
+        outputs: &Outputs<'_>,
+    ) -> Result<Self, MaskError> {
+        if !back_end.is_supported() {
+            return Err(MaskError::BackEnd(back_end));
+        }
+        options.validate(pattern)?;
+        let distances = outputs.hit_distances.is_some();
+        let parts = rays::parts(pattern, options.radius);
+        Ok(Self { bvh, pattern, options, back_end, distances, parts })
+    }
+
+    fn run(&self, receivers: &[Receiver], goal: &mut impl Goal, out: &mut [u64], walks: &mut [Walk]) {
+        out.fill(0);
+        for part in &self.parts {
+            kernel::run(self.back_end, Run { masks: self, part, receivers, goal, out, walks });
+        }
+    }
+
+    /// Nearest hits, into masks and distances.
+    fn run_nearest(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut [Walk]) {
+        let Answers { masks, distances, .. } = answers;
+        let (rays, words, sides) = (self.pattern.len(), self.pattern.words(), self.options.sides);
+        let mut hits = vec![Hit::NONE; receivers.len() * rays];
+        self.run(receivers, &mut Nearest { sides, hits: &mut hits }, masks, walks);
+        masks.fill(0);
+        distances.clear();
+        for (i, hit) in hits.iter().enumerate() {
+            let blocked = hit.blocks(sides);
+            masks[i / rays * words + i % rays / 64] |= u64::from(blocked) << (i % rays % 64);
+            distances.push(if blocked { hit.t } else { f32::INFINITY });
+        }
+    }
 }
 
 impl Engine for Masks<'_> {
@@ -69,72 +149,97 @@ impl Engine for Masks<'_> {
         (0..TURNS).map(|_| Walk::new()).collect()
     }
 
-    fn masks(&self, receivers: &[Receiver], masks: &mut [u64], walks: &mut Box<[Walk]>) {
-        for (p, part) in self.parts.iter().enumerate() {
-            kernel::run(
-                self.back_end,
-                Run { masks: self, part, first: p == 0, receivers, out: masks, walks },
-            );
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Box<[Walk]>) {
+        let sides = self.options.sides;
+        if self.distances || sides == Sides::FrontFirst {
+            self.run_nearest(receivers, answers, walks);
+        } else {
+            self.run(receivers, &mut Blocked { sides }, &mut answers.masks, walks);
         }
     }
 }
 
+/// [`Masks`] among semi-transparent triangles.
+struct Veils<'a, F> {
+    masks: Masks<'a>,
+    depth_of: F,
+}
+
+impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for Veils<'_, F> {
+    type Scratch = Box<[Walk]>;
+
+    fn scratch(&self) -> Box<[Walk]> {
+        self.masks.scratch()
+    }
+
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Box<[Walk]>) {
+        let Self { masks, depth_of } = self;
+        if masks.distances {
+            masks.run_nearest(receivers, answers, walks);
+        }
+        let mut sums = vec![OpticalDepth::CLEAR; receivers.len() * masks.pattern.len()];
+        let mut goal = Dimmed { sides: masks.options.sides, sums: &mut sums, depth_of };
+        masks.run(receivers, &mut goal, &mut answers.masks, walks);
+        answers.passed.clear();
+        answers.passed.extend(sums.into_iter().map(OpticalDepth::transmittance));
+    }
+}
+
 /// One part of the rays of a block of receivers.
-struct Run<'a> {
+struct Run<'a, G> {
     masks: &'a Masks<'a>,
     part: &'a Part,
-    /// Whether the output has to be cleared.
-    first: bool,
     receivers: &'a [Receiver],
+    goal: &'a mut G,
     out: &'a mut [u64],
     walks: &'a mut [Walk],
 }
 
-impl Job for Run<'_> {
+impl<G: Goal> Job for Run<'_, G> {
     type Output = ();
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let Self { masks: &Masks { bvh, pattern, options, .. }, part, first, receivers, out, walks } = self;
-        let words = pattern.words();
-        if first {
-            out.fill(0);
-        }
+        let Self { masks: &Masks { bvh, pattern, options, .. }, part, receivers, goal, out, walks } = self;
+        let (words, rays) = (pattern.words(), pattern.len());
         for walk in walks.iter_mut().filter(|walk| walk.part != Some(part.first)) {
             part.begin(&mut walk.rays);
             walk.part = Some(part.first);
         }
-        let mut goal = Blocked { sides: options.sides };
         let mut next = 0;
         let start = |walk: &mut Walk| {
             let Some(receiver) = receivers.get(next) else { return false };
+            if G::SHRINKS {
+                part.begin(&mut walk.rays);
+            }
             let frame = pattern.frame_of(receiver);
             part.turn(&frame, &mut walk.rays);
             let axis = frame.world_from_local(part.cone.axis).to_array();
             let hull = Hull::new(part.reach, frame.normal.to_array(), axis, part.cone.angle);
-            walk.start(next, receiver.point().to_array(), hull);
+            walk.start(next * rays + part.first, receiver.point().to_array(), hull);
             next += 1;
             true
         };
-        let end = |walk: &Walk| {
-            let out = &mut out[walk.item * words..][..words];
+        let end = |walk: &Walk, goal: &mut G| {
+            let receiver = walk.item / rays;
+            let out = &mut out[receiver * words..][..words];
             write(walk, part, out);
-            alone(bvh, pattern, options, part, &receivers[walk.item], walk, out);
+            alone(bvh, pattern, options, part, &receivers[receiver], walk, goal, out);
         };
-        take_turns(kernel, bvh, walks, &mut goal, start, end);
+        take_turns(kernel, bvh, walks, goal, start, end);
     }
 }
 
 /// Lets walks take turns, one step each, while `start` puts new rays into those that have ended. `start` returns false when
 /// there are no more; `end` sees each walk that has ended.
 #[inline(always)]
-fn take_turns<K: Kernel>(
+fn take_turns<K: Kernel, G: Goal>(
     kernel: K,
     bvh: &Bvh,
     walks: &mut [Walk],
-    goal: &mut impl Goal,
+    goal: &mut G,
     mut start: impl FnMut(&mut Walk) -> bool,
-    mut end: impl FnMut(&Walk),
+    mut end: impl FnMut(&Walk, &mut G),
 ) {
     let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
     let (mut busy, mut more) = (0, true);
@@ -152,7 +257,7 @@ fn take_turns<K: Kernel>(
             if walk.step(kernel, bvh, goal) {
                 turn += 1;
             } else {
-                end(walk);
+                end(walk, goal);
                 busy -= 1;
                 turns.swap(turn, busy);
             }
@@ -172,6 +277,7 @@ fn write(walk: &Walk, part: &Part, out: &mut [u64]) {
 
 /// Answers rays that could not walk.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // the state of one call
 fn alone(
     bvh: &Bvh,
     pattern: &Pattern,
@@ -179,6 +285,7 @@ fn alone(
     part: &Part,
     receiver: &Receiver,
     walk: &Walk,
+    goal: &mut impl Goal,
     out: &mut [u64],
 ) {
     if walk.rays.closed[..part.len / GROUP].iter().all(|&closed| closed == 0) {
@@ -187,7 +294,7 @@ fn alone(
     for (i, ray) in pattern.rays_of(receiver, options.radius).enumerate().skip(part.first).take(part.len) {
         let at = i - part.first;
         if walk.rays.closed[at / GROUP] >> (at % GROUP) & 1 == 1 {
-            out[i / 64] |= u64::from(any_hit(bvh, &ray, options.sides)) << (i % 64);
+            out[i / 64] |= u64::from(goal.alone(bvh, walk.item + at, &ray)) << (i % 64);
         }
     }
 }

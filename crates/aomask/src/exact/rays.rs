@@ -85,6 +85,12 @@ impl RaySet {
         Ray { origin: origin.into(), direction, tnear: 0.0, tfar: self.far[ray] / self.unscale[ray] }
     }
 
+    /// Ends ray number `ray` soon after `t`, in units of its direction before scaling.
+    pub(crate) fn shorten(&mut self, ray: usize, t: f32) {
+        let end = t * self.unscale[ray] * (1.0 + 1e-5) + f32::MIN_POSITIVE;
+        self.far[ray] = self.far[ray].min(end);
+    }
+
     /// The groups with an open ray, a bit each.
     #[inline(always)]
     pub(crate) fn open(&self) -> u32 {

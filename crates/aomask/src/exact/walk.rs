@@ -8,7 +8,10 @@ use super::{
     rays::{GROUP, GROUPS, RaySet},
 };
 use umbrage_accel::{Bvh, View};
-use umbrage_geom::kernel::{BlockMask, TriangleBlock};
+use umbrage_geom::{
+    Ray,
+    kernel::{BlockMask, TriangleBlock},
+};
 
 /// Most groups of an entry that knows single rays.
 pub(crate) const FEW: u32 = 4;
@@ -18,22 +21,28 @@ const WIDE: u32 = 4;
 
 /// What is asked about the rays.
 pub(crate) trait Goal {
+    /// Whether rays get shorter on their way.
+    const SHRINKS: bool;
+
     /// Takes the triangles of `leaf` that the filter found on ray number `ray`. Whether the ray needs no more.
-    fn lanes(&mut self, walk: &Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool;
+    fn lanes(&mut self, walk: &mut Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool;
 
     /// Takes the rays of `group` that the filter found to meet the triangle in `lane` of `leaf`. The rays that need no more.
-    fn rays(&mut self, walk: &Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8;
+    fn rays(&mut self, walk: &mut Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8;
 
     /// Triangles of a leaf that can be skipped, a bit each, by the sides on which the origin is for certain.
     fn skipped(&self, sides: impl FnOnce() -> (u32, u32)) -> u32;
+
+    /// Answers ray number `index` of all walks, which could not walk. Whether it is blocked.
+    fn alone(&mut self, bvh: &Bvh, index: usize, ray: &Ray) -> bool;
 }
 
 /// What a goal may look at.
 pub(crate) struct Ground<'a> {
     pub(crate) bvh: &'a Bvh,
-    pub(crate) rays: &'a RaySet,
+    pub(crate) rays: &'a mut RaySet,
     pub(crate) origin: [f32; 3],
-    /// Number that the walk was started with.
+    /// Number of the walk's first ray among those of all walks.
     pub(crate) item: usize,
 }
 
@@ -52,6 +61,7 @@ pub(crate) struct Walk {
     pub(crate) done: [u8; GROUPS],
     /// Groups with rays that do.
     open: u32,
+    /// See [`Ground::item`].
     pub(crate) item: usize,
     origin: [f32; 3],
     hull: Hull,
@@ -252,8 +262,8 @@ impl Walk {
             let mask = BlockMask { certain: certain & !skipped, uncertain: uncertain & !skipped };
             if mask.certain | mask.uncertain != 0 {
                 let Self { rays, origin, item, .. } = self;
-                let ground = Ground { bvh, rays, origin: *origin, item: *item };
-                if goal.lanes(&ground, leaf, ray, mask) {
+                let mut ground = Ground { bvh, rays, origin: *origin, item: *item };
+                if goal.lanes(&mut ground, leaf, ray, mask) {
                     self.finish(ray / GROUP, 1 << (ray % GROUP));
                 }
             }
@@ -307,8 +317,8 @@ impl Walk {
                 let mask = BlockMask { certain: certain & open, uncertain: uncertain & open };
                 if mask.certain | mask.uncertain != 0 {
                     let Self { rays, origin, item, .. } = self;
-                    let ground = Ground { bvh, rays, origin: *origin, item: *item };
-                    let done = goal.rays(&ground, leaf, lane, group, mask);
+                    let mut ground = Ground { bvh, rays, origin: *origin, item: *item };
+                    let done = goal.rays(&mut ground, leaf, lane, group, mask);
                     self.finish(group, done);
                 }
             }

@@ -114,8 +114,10 @@ pub enum BakeError {
     /// Masks could not be computed.
     #[error(transparent)]
     Mask(umbrage_aomask::MaskError),
-    /// Masks know only free and blocked rays.
-    #[error("some occluder is semi-transparent, which this method can't do; use the method rays")]
+    /// The method, or the sides that block, make sense for opaque occluders only.
+    #[error(
+        "some occluder is semi-transparent, which masks from tables, and fronts before any back, can't do"
+    )]
     SemiTransparent,
     /// Rays could not be written down.
     #[error("writing rays: {0}")]

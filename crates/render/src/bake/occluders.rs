@@ -143,6 +143,10 @@ impl Occluders {
             self.bvh.any_hits_with(rays, blocked, &mut ());
             return blocked.iter().filter(|&&b| !b).count() as f64;
         }
+        if sides == Sides::FrontFirst {
+            let blocked = |ray: &&Ray| self.bvh.closest_hit(ray).is_some_and(|hit| hit.front);
+            return (rays.len() - rays.iter().filter(blocked).count()) as f64;
+        }
         rays.iter()
             .map(|ray| self.bvh.transmittance(ray, |prim| self.depth(prim, ray, sides)))
             .map(|depth| f64::from(depth.transmittance()))
@@ -157,7 +161,12 @@ impl Occluders {
         {
             return OpticalDepth::CLEAR;
         }
-        self.depths.get(prim).copied().unwrap_or(OpticalDepth::OPAQUE)
+        self.depth_of(prim as u32)
+    }
+
+    /// Depth of a crossing of triangle `prim`.
+    pub(super) fn depth_of(&self, prim: u32) -> OpticalDepth {
+        self.depths.get(prim as usize).copied().unwrap_or(OpticalDepth::OPAQUE)
     }
 }
 

@@ -34,6 +34,9 @@ pub enum Sides {
     /// Only the front, from which the corners run counter-clockwise. Rays pass through back sides, so the inside of a
     /// closed mesh is open.
     Front,
+    /// Only a front that a ray meets before any back: a ray that meets a back first starts inside something and is free. For
+    /// opaque occluders.
+    FrontFirst,
 }
 
 /// How patterns of rays differ between receivers.

@@ -1,10 +1,11 @@
 //! `umbrage bake`
 
 use super::{Interrupted, is_mesh, progress::Bar, thread_pool};
+use crate::method::mask_rays;
 use crate::{
     bake::{
-        BakeError, BakeOptions, Ground, NormalSource, Occluders, Receivers, Shard, Sides, TexelMap, VAxis,
-        bake, bake_mask_table, blocks,
+        BakeError, BakeOptions, Ground, MaskExtras, MaskMethod, NormalSource, Occluders, Receivers, Shard,
+        Sides, TexelMap, VAxis, bake, bake_masks, blocks,
     },
     baked::{Baked, Surface, check_part_extension},
     fingerprint::Fingerprint,
@@ -79,15 +80,20 @@ pub struct BakeArguments {
     /// floats origin, tnear, direction, tfar, then 1 or 0 as an integer. Only for methods with masks.
     #[arg(long, value_name = "FILE")]
     dump_rays: Option<PathBuf>,
+    /// Also write bent normals, the mean directions of free rays. Only for methods with masks.
+    #[arg(long)]
+    bent_normals: bool,
     /// Write times and counts as JSON.
     #[arg(long, value_name = "FILE.json")]
     stats: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Method {
-    /// Let the program choose.
+    /// Masks, or single rays for numbers of rays that masks can't have.
     Auto,
+    /// All rays of a receiver as one bit mask, exactly. 32 to 1024 rays, a multiple of 32.
+    Mask,
     /// Exact single rays.
     Rays,
     /// Rays that end at prefiltered nodes: approximate, for foliage and hair.
@@ -97,12 +103,31 @@ enum Method {
 }
 
 impl Method {
-    /// What is used: exact rays serve every mesh.
+    /// What is used for `rays` rays: masks serve every mesh.
+    fn resolve(self, rays: u32) -> Self {
+        match self {
+            Self::Auto if mask_rays(rays) => Self::Mask,
+            Self::Auto => Self::Rays,
+            other => other,
+        }
+    }
+
     fn name(self) -> &'static str {
         match self {
-            Self::Auto | Self::Rays => "rays",
+            Self::Auto => "auto",
+            Self::Mask => "mask",
+            Self::Rays => "rays",
             Self::Prefilter => "prefilter",
             Self::MaskTable => "mask-table",
+        }
+    }
+
+    /// The form of masks, if this is a method with masks.
+    fn mask(self) -> Option<MaskMethod> {
+        match self {
+            Self::Mask => Some(MaskMethod::Exact),
+            Self::MaskTable => Some(MaskMethod::Table),
+            Self::Auto | Self::Rays | Self::Prefilter => None,
         }
     }
 }
@@ -121,6 +146,8 @@ enum SidesArgument {
     Both,
     /// Only fronts, from which corners run counter-clockwise.
     Front,
+    /// Only fronts that a ray meets before any back; opaque occluders only.
+    FrontFirst,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -173,6 +200,7 @@ impl BakeArguments {
         let sides = match self.sides {
             SidesArgument::Both => Sides::Both,
             SidesArgument::Front => Sides::Front,
+            SidesArgument::FrontFirst => Sides::FrontFirst,
         };
         BakeOptions::default()
             .with_rays(self.rays)
@@ -213,9 +241,18 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
         arguments.points.is_none() || arguments.per == Per::Vertex,
         "--points and --per texel exclude each other"
     );
+    let method = arguments.method.resolve(arguments.rays);
+    for (given, name) in
+        [(arguments.dump_rays.is_some(), "--dump-rays"), (arguments.bent_normals, "--bent-normals")]
+    {
+        ensure!(
+            !given || method.mask().is_some(),
+            "{name} needs a method with masks: --method mask or mask-table, with 32 to 1024 rays, a multiple of 32"
+        );
+    }
     ensure!(
-        arguments.dump_rays.is_none() || matches!(arguments.method, Method::MaskTable),
-        "--dump-rays needs a method with masks: --method mask-table"
+        !arguments.bent_normals || arguments.shard.is_none(),
+        "--bent-normals and --shard exclude each other: parts hold only ao"
     );
     for path in std::iter::once(&arguments.output).chain(&arguments.stats).chain(&arguments.dump_rays) {
         umbrage_scene::check_writable(path)?;
@@ -300,15 +337,18 @@ fn bake_and_write(
     let mut ao = vec![f32::NAN; receivers.len()];
     let part = Shard { index: shard.index() - 1, count: shard.count() };
     let mut report = |f| bar.report(f);
-    let mut by_masks = |dump: Option<&mut dyn Write>| {
-        bake_mask_table(&occluders, &receivers, options, part, &mut ao, dump, &mut report)
+    let mut bent = arguments.bent_normals.then(|| vec![[0.0; 3]; receivers.len()]);
+    let method = arguments.method.resolve(options.rays);
+    let mut by_masks = |masks: MaskMethod, dump: Option<&mut dyn Write>| {
+        let extras = MaskExtras { dump, bent_normals: bent.as_deref_mut() };
+        bake_masks(&occluders, &receivers, options, masks, part, &mut ao, extras, &mut report)
     };
-    let result = match (arguments.method, &arguments.dump_rays) {
-        (Method::MaskTable, None) => by_masks(None),
-        (Method::MaskTable, Some(path)) => {
+    let result = match (method.mask(), &arguments.dump_rays) {
+        (Some(masks), None) => by_masks(masks, None),
+        (Some(masks), Some(path)) => {
             let mut failure = None;
             let written = umbrage_scene::write_atomically(path, |out| {
-                by_masks(Some(out)).map_err(|error| {
+                by_masks(masks, Some(out)).map_err(|error| {
                     failure = Some(error);
                     std::io::ErrorKind::Other.into()
                 })
@@ -318,9 +358,7 @@ fn bake_and_write(
                 None => Ok(written?),
             }
         }
-        (Method::Auto | Method::Rays | Method::Prefilter, _) => {
-            bake(&occluders, &receivers, options, part, &mut ao, &mut report)
-        }
+        (None, _) => bake(&occluders, &receivers, options, part, &mut ao, &mut report),
     };
     match result {
         Ok(()) => {}
@@ -330,7 +368,7 @@ fn bake_and_write(
     let bake_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let baked_here = ao.iter().filter(|ao| !ao.is_nan()).count();
-    let baked = Baked { surface, ao };
+    let baked = Baked { surface, ao, bent_normals: bent };
     match arguments.shard {
         None => baked.write(&arguments.output)?,
         Some(shard) => {
@@ -342,7 +380,7 @@ fn bake_and_write(
         let stats = json!({
             "umbrage": env!("CARGO_PKG_VERSION"),
             "mesh": source(),
-            "method": arguments.method.name(),
+            "method": method.name(),
             "shard": arguments.shard.map(|s| s.to_string()),
             "triangles": meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
             "receivers": baked_here,
@@ -374,7 +412,7 @@ fn fingerprint(
     if let Surface::Points { positions, normals } = &baked.surface {
         fingerprint.words(positions.iter().chain(normals).flatten().map(|x| x.to_bits()));
     }
-    let method = arguments.method.name();
+    let method = arguments.method.resolve(options.rays).name();
     let all = format!("{options:?} {:?} {} {method}", arguments.normal_source(), arguments.ground);
     fingerprint.bytes(all.as_bytes());
     fingerprint.finish()
