@@ -116,7 +116,7 @@ fn sectors_and_bent_normals_look_away_from_a_wall() {
     assert!((sectors.iter().sum::<f32>() / 4.0 - ao[0]).abs() < 0.03, "{sectors:?}");
     let mean =
         pattern.free_direction(&Receiver::new(0, points[0], normals[0], 0).unwrap(), &[0; 16]).unwrap();
-    assert!(Vec3::from(mean).distance(Vec3::Z * (2.0 / 3.0)) < 0.01, "a cosine-weighted mean: {mean:?}");
+    assert!(Vec3::from(mean).distance(Vec3::Z * (2.0 / 3.0)) < 0.03, "a cosine-weighted mean: {mean:?}");
 }
 
 #[test]
