@@ -4,7 +4,7 @@
 //! direction, eight and thirty-two of them best of all: the answers are the same in any order, but a good one is faster.
 
 use super::{
-    TURNS,
+    Source, TURNS,
     goal::{Blocked, Dimmed, Hit, Nearest},
     kernel::{self, Hull, Job, Kernel},
     rays::{Cone, GROUP, GROUPS, RAYS, unit},
@@ -119,44 +119,49 @@ fn hull(rays: &[Ray]) -> Hull {
     Hull::new(reach, up.to_array(), cone.axis.to_array(), cone.angle)
 }
 
-/// Lets all rays walk; `end` is told the first ray of each walk that has ended, and its rays that are blocked, eight a byte.
-#[inline(always)]
-fn walk_all<K: Kernel, G: Goal>(
-    kernel: K,
-    bvh: &Bvh,
-    rays: &[Ray],
+/// Fan by fan; writes what is blocked.
+struct ByFan<'a, F> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
     per_fan: usize,
-    walks: &mut [Walk],
-    goal: &mut G,
-    mut end: impl FnMut(usize, usize, &[u8; GROUPS]),
-) {
-    let mut next = 0;
-    let start = |walk: &mut Walk| {
-        if next == rays.len() {
+    next: usize,
+    /// Told the number of each blocked ray.
+    blocked: F,
+}
+
+impl<G: Goal, F: FnMut(usize)> Source<G> for ByFan<'_, F> {
+    #[inline(always)]
+    fn start(&mut self, walk: &mut Walk) -> bool {
+        if self.next == self.rays.len() {
             return false;
         }
-        let len = (per_fan - next % per_fan).min(RAYS);
-        let part = &rays[next..next + len];
+        let part = &self.rays[self.next..self.next + self.len(self.next)];
         walk.part = None;
         walk.rays.load(part);
-        walk.start(next, part[0].origin.to_array(), hull(part));
-        next += len;
+        walk.start(self.next, part[0].origin.to_array(), hull(part));
+        self.next += part.len();
         true
-    };
-    take_turns(kernel, bvh, walks, goal, start, |walk, goal| {
-        let len = (per_fan - walk.item % per_fan).min(RAYS);
-        let mut blocked = walk.done;
-        for (g, (blocked, &closed)) in
-            blocked.iter_mut().zip(&walk.rays.closed).enumerate().take(len.div_ceil(GROUP))
-        {
-            *blocked &= !closed;
-            for i in (0..GROUP.min(len - g * GROUP)).filter(|&i| closed >> i & 1 == 1) {
-                let index = walk.item + g * GROUP + i;
-                *blocked |= u8::from(goal.alone(bvh, index, &rays[index])) << i;
+    }
+
+    #[inline(always)]
+    fn end(&mut self, walk: &Walk, goal: &mut G) {
+        let first = walk.item;
+        for i in 0..self.len(first) {
+            let bit = |of: &[u8; GROUPS]| of[i / GROUP] >> (i % GROUP) & 1 == 1;
+            let walked = !bit(&walk.rays.closed);
+            if if walked { bit(&walk.done) } else { goal.alone(self.bvh, first + i, &self.rays[first + i]) } {
+                (self.blocked)(first + i);
             }
         }
-        end(walk.item, len, &blocked);
-    });
+    }
+}
+
+impl<F> ByFan<'_, F> {
+    /// Rays of the walk whose first ray is `first`.
+    #[inline(always)]
+    fn len(&self, first: usize) -> usize {
+        (self.per_fan - first % self.per_fan).min(RAYS)
+    }
 }
 
 struct AnyHits<'a> {
@@ -176,16 +181,14 @@ impl Job for AnyHits<'_> {
         let Self { bvh, rays, per_fan, sides, hits, walks } = self;
         if sides == Sides::FrontFirst {
             let mut nearest = vec![Hit::NONE; rays.len()];
-            let mut goal = Nearest { sides, hits: &mut nearest };
-            walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |_, _, _| {});
+            let mut source = ByFan { bvh, rays, per_fan, next: 0, blocked: |_| {} };
+            take_turns(kernel, bvh, walks, &mut Nearest { sides, hits: &mut nearest }, &mut source);
             hits.iter_mut().zip(nearest).for_each(|(blocked, hit)| *blocked = hit.blocks(sides));
             return;
         }
-        walk_all(kernel, bvh, rays, per_fan, walks, &mut Blocked { sides }, |first, len, blocked| {
-            for (i, hit) in hits[first..first + len].iter_mut().enumerate() {
-                *hit = blocked[i / GROUP] >> (i % GROUP) & 1 == 1;
-            }
-        });
+        hits.fill(false);
+        let mut source = ByFan { bvh, rays, per_fan, next: 0, blocked: |ray: usize| hits[ray] = true };
+        take_turns(kernel, bvh, walks, &mut Blocked { sides }, &mut source);
     }
 }
 
@@ -207,7 +210,8 @@ impl<F: Fn(u32) -> OpticalDepth> Job for Transmittances<'_, F> {
         let Self { bvh, rays, per_fan, sides, depth_of, sums, walks } = self;
         sums.fill(OpticalDepth::CLEAR);
         let mut goal = Dimmed { sides, sums, depth_of };
-        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |_, _, _| {});
+        let mut source = ByFan { bvh, rays, per_fan, next: 0, blocked: |_| {} };
+        take_turns(kernel, bvh, walks, &mut goal, &mut source);
         for sum in sums.iter_mut().filter(|sum| sum.is_opaque()) {
             *sum = OpticalDepth::OPAQUE;
         }

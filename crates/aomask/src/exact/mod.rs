@@ -200,52 +200,75 @@ impl<G: Goal> Job for Run<'_, G> {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let Self { masks: &Masks { bvh, pattern, options, .. }, part, receivers, goal, out, walks } = self;
-        let (words, rays) = (pattern.words(), pattern.len());
+        let Self { masks, part, receivers, goal, out, walks } = self;
         for walk in walks.iter_mut().filter(|walk| walk.part != Some(part.first)) {
             part.begin(&mut walk.rays);
             walk.part = Some(part.first);
         }
-        let mut next = 0;
-        let start = |walk: &mut Walk| {
-            let Some(receiver) = receivers.get(next) else { return false };
-            if G::SHRINKS {
-                part.begin(&mut walk.rays);
-            }
-            let frame = pattern.frame_of(receiver);
-            part.turn(&frame, &mut walk.rays);
-            let axis = frame.world_from_local(part.cone.axis).to_array();
-            let hull = Hull::new(part.reach, frame.normal.to_array(), axis, part.cone.angle);
-            walk.start(next * rays + part.first, receiver.point().to_array(), hull);
-            next += 1;
-            true
-        };
-        let end = |walk: &Walk, goal: &mut G| {
-            let receiver = walk.item / rays;
-            let out = &mut out[receiver * words..][..words];
-            write(walk, part, out);
-            alone(bvh, pattern, options, part, &receivers[receiver], walk, goal, out);
-        };
-        take_turns(kernel, bvh, walks, goal, start, end);
+        let mut source = ByReceiver { masks, part, receivers, next: 0, out };
+        take_turns(kernel, masks.bvh, walks, goal, &mut source);
     }
 }
 
-/// Lets walks take turns, one step each, while `start` puts new rays into those that have ended. `start` returns false when
-/// there are no more; `end` sees each walk that has ended.
+/// Receiver by receiver.
+struct ByReceiver<'a> {
+    masks: &'a Masks<'a>,
+    part: &'a Part,
+    receivers: &'a [Receiver],
+    next: usize,
+    out: &'a mut [u64],
+}
+
+impl<G: Goal> Source<G> for ByReceiver<'_> {
+    #[inline(always)]
+    fn start(&mut self, walk: &mut Walk) -> bool {
+        let Self { masks: Masks { pattern, .. }, part, receivers, next, .. } = self;
+        let Some(receiver) = receivers.get(*next) else { return false };
+        if G::SHRINKS {
+            part.begin(&mut walk.rays);
+        }
+        let frame = pattern.frame_of(receiver);
+        part.turn(&frame, &mut walk.rays);
+        let axis = frame.world_from_local(part.cone.axis).to_array();
+        let hull = Hull::new(part.reach, frame.normal.to_array(), axis, part.cone.angle);
+        walk.start(*next * pattern.len() + part.first, receiver.point().to_array(), hull);
+        *next += 1;
+        true
+    }
+
+    #[inline(always)]
+    fn end(&mut self, walk: &Walk, goal: &mut G) {
+        let Self { masks: Masks { bvh, pattern, options, .. }, part, receivers, out, .. } = self;
+        let (words, receiver) = (pattern.words(), walk.item / pattern.len());
+        let out = &mut out[receiver * words..][..words];
+        write(walk, part, out);
+        alone(bvh, pattern, options, part, &receivers[receiver], walk, goal, out);
+    }
+}
+
+/// Where walks get their rays. A trait, since closures would not be compiled with the caller's instructions.
+trait Source<G> {
+    /// Puts new rays into a walk; false if there are no more.
+    fn start(&mut self, walk: &mut Walk) -> bool;
+
+    /// Sees a walk that has ended.
+    fn end(&mut self, walk: &Walk, goal: &mut G);
+}
+
+/// Lets walks take turns, one step each, while `source` puts new rays into those that have ended.
 #[inline(always)]
 fn take_turns<K: Kernel, G: Goal>(
     kernel: K,
     bvh: &Bvh,
     walks: &mut [Walk],
     goal: &mut G,
-    mut start: impl FnMut(&mut Walk) -> bool,
-    mut end: impl FnMut(&Walk, &mut G),
+    source: &mut impl Source<G>,
 ) {
     let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
     let (mut busy, mut more) = (0, true);
     loop {
         while busy < TURNS && more {
-            more = start(&mut walks[turns[busy]]);
+            more = source.start(&mut walks[turns[busy]]);
             busy += usize::from(more);
         }
         if busy == 0 {
@@ -257,7 +280,7 @@ fn take_turns<K: Kernel, G: Goal>(
             if walk.step(kernel, bvh, goal) {
                 turn += 1;
             } else {
-                end(walk, goal);
+                source.end(walk, goal);
                 busy -= 1;
                 turns.swap(turn, busy);
             }

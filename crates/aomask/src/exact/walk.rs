@@ -16,6 +16,9 @@ use umbrage_geom::{
 /// Most groups of an entry that knows single rays.
 pub(crate) const FEW: u32 = 4;
 
+/// Most groups whose rays are tested before they are pushed.
+pub(crate) const MANY: u32 = 8;
+
 /// Fewest rays for which a node is first tested against the hull.
 const WIDE: u32 = 4;
 
@@ -164,16 +167,13 @@ impl Walk {
             // Highest first: the stack is last in, first out, and larger boxes come first.
             let child = 31 - wanted.leading_zeros() as usize;
             wanted ^= 1 << child;
-            let groups = kernel.cones(&spheres, child, &self.rays) & live;
-            if groups == 0 {
-                continue;
+            let mut groups = kernel.cones(&spheres, child, &self.rays) & live;
+            if groups.count_ones() > FEW {
+                groups &= kernel.box_groups(&rows, child, &self.rays, &self.hull);
             }
-            // All rays enter a box around the receiver.
-            let around =
-                (0..3).all(|axis| rows.0[2 * axis][child] <= 0.0 && rows.0[2 * axis + 1][child] >= 0.0);
-            if around && groups.count_ones() > FEW {
+            if groups.count_ones() > MANY {
                 self.push(node.children()[child], groups, 0);
-            } else {
+            } else if groups != 0 {
                 self.narrow(kernel, &rows, child, node.children()[child], groups);
             }
         }
