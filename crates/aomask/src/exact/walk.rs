@@ -161,35 +161,73 @@ impl Walk {
         if wanted == 0 {
             return;
         }
-        let spheres = kernel.spheres(&rows);
-        wanted &= kernel.ahead(&spheres, &self.hull);
-        while wanted != 0 {
-            // Highest first: the stack is last in, first out, and larger boxes come first.
-            let child = 31 - wanted.leading_zeros() as usize;
-            wanted ^= 1 << child;
-            let mut groups = kernel.cones(&spheres, child, &self.rays) & live;
-            if groups.count_ones() > FEW {
-                groups &= kernel.box_groups(&rows, child, &self.rays, &self.hull);
+        let bottom = self.top;
+        let around = wanted & kernel.around(&rows);
+        wanted &= !around;
+        if wanted != 0 {
+            let spheres = kernel.spheres(&rows);
+            wanted &= kernel.ahead(&spheres, &self.hull);
+            while wanted != 0 {
+                // Highest first: larger boxes come first in a node, and shall be visited first.
+                let child = 31 - wanted.leading_zeros() as usize;
+                wanted ^= 1 << child;
+                let mut groups = kernel.cones(&spheres, child, &self.rays) & live;
+                if groups.count_ones() > FEW {
+                    groups &= kernel.box_groups(&rows, child, &self.rays, &self.hull);
+                }
+                if groups.count_ones() > MANY {
+                    self.push(bottom, node.children()[child], groups, 0, GROUP as u32 * groups.count_ones());
+                } else if groups != 0 {
+                    self.narrow(kernel, &rows, child, node.children()[child], groups, bottom);
+                }
             }
-            if groups.count_ones() > MANY {
-                self.push(node.children()[child], groups, 0);
-            } else if groups != 0 {
-                self.narrow(kernel, &rows, child, node.children()[child], groups);
+        }
+        let mut around = around;
+        while around != 0 {
+            let child = 31 - around.leading_zeros() as usize;
+            around ^= 1 << child;
+            if live.count_ones() > FEW {
+                let top = self.top;
+                (self.stack.children[top], self.stack.groups[top], self.stack.rays[top]) =
+                    (node.children()[child], live, 0);
+                self.top += 1;
+            } else {
+                self.narrow(kernel, &rows, child, node.children()[child], live, bottom);
             }
         }
     }
 
+    /// Pushes an entry among those above `bottom`, the one with most rays on top.
     #[inline(always)]
-    fn push(&mut self, child: u32, groups: u32, rays: u32) {
-        let top = self.top;
-        (self.stack.children[top], self.stack.groups[top], self.stack.rays[top]) = (child, groups, rays);
+    fn push(&mut self, bottom: usize, child: u32, groups: u32, rays: u32, count: u32) {
+        let mut at = self.top;
         self.top += 1;
+        while at > bottom {
+            let below = at - 1;
+            let (groups, rays) = (self.stack.groups[below], self.stack.rays[below]);
+            let others = if rays == 0 { GROUP as u32 * groups.count_ones() } else { rays.count_ones() };
+            if others <= count {
+                break;
+            }
+            (self.stack.children[at], self.stack.groups[at], self.stack.rays[at]) =
+                (self.stack.children[below], groups, rays);
+            at = below;
+        }
+        (self.stack.children[at], self.stack.groups[at], self.stack.rays[at]) = (child, groups, rays);
     }
 
     /// Pushes the child in slot `slot` with those of the `groups` that have a ray that may enter it: as groups if they have
     /// many rays, else as rays, [`FEW`] groups at a time.
     #[inline(always)]
-    fn narrow<K: Kernel>(&mut self, kernel: K, rows: &Rows, slot: usize, child: u32, mut groups: u32) {
+    fn narrow<K: Kernel>(
+        &mut self,
+        kernel: K,
+        rows: &Rows,
+        slot: usize,
+        child: u32,
+        mut groups: u32,
+        bottom: usize,
+    ) {
         let mut entered = [0; GROUPS];
         let (mut kept, mut count) = (0u32, 0);
         while groups != 0 {
@@ -201,7 +239,7 @@ impl Walk {
         }
         // About where testing rays one by one gets cheaper than a test of each group and child.
         if kept.count_ones() > FEW && count > 12 + 5 * kept.count_ones() / 2 {
-            return self.push(child, kept, 0);
+            return self.push(bottom, child, kept, 0, count);
         }
         while kept != 0 {
             let (mut ids, mut rays) = (0, 0);
@@ -213,7 +251,7 @@ impl Walk {
                 rays |= left << (8 * i);
                 kept &= kept.wrapping_sub(1);
             }
-            self.push(child, ids, rays);
+            self.push(bottom, child, ids, rays, rays.count_ones());
         }
     }
 
@@ -241,7 +279,9 @@ impl Walk {
         goal: &mut impl Goal,
     ) {
         let block = bvh.view().leaf(leaf);
-        let above = kernel.above(block, self.origin, &self.hull);
+        // Of few rays each is tested sooner than the horizon.
+        let above =
+            if left.count_ones() < WIDE { 0xff } else { kernel.above(block, self.origin, &self.hull) };
         if above == 0 {
             return;
         }

@@ -120,6 +120,9 @@ pub(crate) trait Kernel: Copy {
     /// Children that reach into `hull`; of no meaning in empty slots.
     fn inside(self, rows: &Rows, hull: &Hull) -> u32;
 
+    /// Children whose boxes hold the origin, so that all rays enter them; of no meaning in empty slots.
+    fn around(self, rows: &Rows) -> u32;
+
     /// Spheres around the children.
     fn spheres(self, rows: &Rows) -> Spheres;
 
@@ -189,7 +192,7 @@ pub(crate) fn run<J: Job>(back_end: BackEnd, job: J) -> J::Output {
         #[cfg(target_arch = "x86_64")]
         BackEnd::Avx512 => x86::run_avx512(job),
         #[cfg(target_arch = "x86_64")]
-        BackEnd::Avx2 => x86::run_avx512(job),
-        _ => x86::run_avx512(job),
+        BackEnd::Avx2 => x86::run_avx2(job),
+        _ => job.run(scalar::Scalar),
     }
 }

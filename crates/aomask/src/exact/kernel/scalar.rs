@@ -52,6 +52,13 @@ impl Kernel for Scalar {
         })
     }
 
+    fn around(self, rows: &Rows) -> u32 {
+        (0..LANES).fold(0, |mask, i| {
+            let inside = (0..3).all(|axis| rows.0[2 * axis][i] <= 0.0 && rows.0[2 * axis + 1][i] >= 0.0);
+            mask | u32::from(inside) << i
+        })
+    }
+
     fn spheres(self, rows: &Rows) -> Spheres {
         let row = [0.0; LANES];
         let mut spheres = Spheres { center: [row; 3], slack: row, tangent: row, radius: row };

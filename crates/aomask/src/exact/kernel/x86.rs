@@ -99,6 +99,20 @@ fn inside(rows: &Rows, hull: &Hull) -> u32 {
 }
 
 #[inline]
+#[target_feature(enable = "avx2")]
+fn around(rows: &Rows) -> u32 {
+    let (mut lowest, mut highest) = (load(&rows.0[0]), load(&rows.0[1]));
+    for axis in 1..3 {
+        lowest = _mm256_max_ps(lowest, load(&rows.0[2 * axis]));
+        highest = _mm256_min_ps(highest, load(&rows.0[2 * axis + 1]));
+    }
+    let zero = _mm256_setzero_ps();
+    let below = _mm256_cmp_ps::<_CMP_LE_OQ>(lowest, zero);
+    let above = _mm256_cmp_ps::<_CMP_GE_OQ>(highest, zero);
+    _mm256_movemask_ps(_mm256_and_ps(below, above)) as u32
+}
+
+#[inline]
 #[target_feature(enable = "avx2,fma")]
 fn spheres(rows: &Rows) -> Spheres {
     let row = [0.0; LANES];
@@ -422,6 +436,12 @@ impl Kernel for Avx2 {
     fn inside(self, rows: &Rows, hull: &Hull) -> u32 {
         // SAFETY: `self` proves the target features.
         unsafe { inside(rows, hull) }
+    }
+
+    #[inline(always)]
+    fn around(self, rows: &Rows) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { around(rows) }
     }
 
     #[inline(always)]
