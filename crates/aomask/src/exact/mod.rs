@@ -6,6 +6,7 @@
 //! Exact: ray `i` of a receiver is blocked if and only if [`umbrage_geom::segment_hits_triangle`] holds for the ray of
 //! [`Pattern::rays_of`] and some triangle.
 
+pub mod adaptive;
 pub mod fans;
 mod goal;
 mod kernel;
