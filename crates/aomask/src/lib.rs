@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![deny(unsafe_code)] // but for `kernel/x86.rs`
 
+pub mod coarse;
 mod drive;
 mod error;
 pub mod exact;

@@ -240,3 +240,46 @@ fn what_can_not_be_answered_is_refused() {
     };
     assert!(blocked(Sides::Both) && !blocked(Sides::Front) && !blocked(Sides::FrontFirst));
 }
+
+/// Exact, as far as a far field can be.
+struct ExactField<'a>(&'a Scene);
+
+impl umbrage_aomask::coarse::FarField for ExactField<'_> {
+    fn transmittances(&self, rays: &[umbrage_geom::Ray], solid_angles: &[f32], passed: &mut [f32]) {
+        assert!(solid_angles.iter().all(|angle| *angle > 0.0));
+        rays.iter().zip(passed).for_each(|(ray, out)| *out = f32::from(u8::from(!self.0.bvh.any_hit(ray))));
+    }
+}
+
+#[test]
+fn masks_with_an_exact_far_field_are_exact() {
+    let scene = scene("bush", 4_000);
+    let (pattern, points) = (pattern(96, Falloff::Linear), receivers(&scene.mesh, 50, 3));
+    let options = MaskOptions::default().with_radius(0.3 * scene.mesh.bounds().diagonal());
+    let asked = seeded(&points, &options);
+    let expected = common::exact(&scene, &pattern, &points, &options);
+    let call = |near: f32, options: &MaskOptions| {
+        let (mut ao, mut masks) = ([0.0; 50], [0; 100]);
+        let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
+        let best = BackEnd::best();
+        umbrage_aomask::coarse::answer_receivers(
+            &scene.bvh,
+            &ExactField(&scene),
+            near,
+            &pattern,
+            &asked,
+            options,
+            best,
+            outputs,
+            &mut |_| true,
+        )
+        .map(|()| masks)
+    };
+    for near in [0.01, 0.3, 2.0] {
+        assert_eq!(call(near * options.radius, &options).unwrap().to_vec(), expected, "{near}");
+    }
+    for near in [0.0, -1.0, f32::NAN] {
+        assert!(matches!(call(near, &options), Err(MaskError::Radius(_))));
+    }
+    assert!(matches!(call(1.0, &options.with_sides(Sides::Front)), Err(MaskError::Unsupported(_))));
+}

@@ -7,6 +7,7 @@ use crate::{RenderError, geometry::Geometry, volumetric};
 use umbrage_accel::{Bvh, Counters};
 use umbrage_aomask::{
     BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, TableOptions,
+    coarse::{self, FarField},
     exact,
 };
 use umbrage_geom::{Falloff, Ray};
@@ -120,9 +121,22 @@ const PREFILTER: &str = "prefilter";
 const SHADOW_THRESHOLD: f32 = 0.2;
 /// See [`SHADOW_THRESHOLD`].
 const AO_THRESHOLD: f32 = 0.3;
+/// Near occluders block in `mask-prefilter`, up to this share of the radius or, where there is none, of the diagonal.
+pub(crate) const NEAR: f32 = 0.1;
+
+impl FarField for PrefilteredRays<'_> {
+    fn transmittances(&self, rays: &[Ray], solid_angles: &[f32], passed: &mut [f32]) {
+        let cones: Vec<ConeRay> =
+            rays.iter().zip(solid_angles).map(|(&ray, &solid_angle)| ConeRay { ray, solid_angle }).collect();
+        self.answer(&cones, passed, &mut ());
+    }
+}
+
 /// All ambient rays of a receiver as one mask.
 struct Masks<'a> {
     rays: SingleRays<'a>,
+    /// For [`Way::Prefiltered`].
+    far: Option<PrefilteredRays<'a>>,
     bvh: &'a Bvh,
     way: Way,
     options: MaskOptions,
@@ -134,12 +148,13 @@ enum Way {
     Exact(Pattern),
     /// From tables: approximate.
     Tables(Box<MaskTables>),
+    /// Exact up to a distance, prefiltered beyond it: approximate.
+    Prefiltered(Pattern, f32),
 }
 
 impl<'a> Masks<'a> {
     fn new(name: &'static str, geometry: &'a Geometry, sky: &SkyRays) -> Result<Self, RenderError> {
-        let tables = name == MASK_TABLE;
-        let bvh = geometry.flat().filter(|_| !tables || geometry.is_opaque());
+        let bvh = geometry.flat().filter(|_| name == MASK || geometry.is_opaque());
         let bvh = bvh.ok_or(RenderError::MaskGeometry(name))?;
         let pattern = PatternOptions::default()
             .with_rays(sky.samples)
@@ -148,18 +163,34 @@ impl<'a> Masks<'a> {
         let pattern = Pattern::new(&pattern)?;
         let options = MaskOptions::default().with_radius(sky.radius);
         options.validate(&pattern)?;
-        let way = if tables {
-            Way::Tables(Box::new(MaskTables::new(pattern, &TableOptions::default())?))
-        } else {
-            Way::Exact(pattern)
+        let way = match name {
+            MASK_TABLE => Way::Tables(Box::new(MaskTables::new(pattern, &TableOptions::default())?)),
+            MASK_PREFILTER => Way::Prefiltered(pattern, NEAR * sky.radius.min(geometry.bounds().diagonal())),
+            _ => Way::Exact(pattern),
         };
-        Ok(Self { rays: SingleRays { geometry, name }, bvh, way, options })
+        let far =
+            (name == MASK_PREFILTER).then(|| PrefilteredRays::new(geometry, AO_THRESHOLD)).transpose()?;
+        Ok(Self { rays: SingleRays { geometry, name }, far, bvh, way, options })
     }
 
     fn answer(&self, receivers: &[Receiver], open: &mut [f32]) -> Result<(), MaskError> {
         let (bvh, options, outputs) = (self.bvh, &self.options, Outputs::new(open));
         match &self.way {
             Way::Tables(tables) => tables.answer_receivers(bvh, receivers, options, outputs, &mut |_| true),
+            Way::Prefiltered(pattern, near) => {
+                let (best, far) = (BackEnd::best(), self.far.as_ref().expect("made with the way"));
+                coarse::answer_receivers(
+                    bvh,
+                    far,
+                    *near,
+                    pattern,
+                    receivers,
+                    options,
+                    best,
+                    outputs,
+                    &mut |_| true,
+                )
+            }
             Way::Exact(pattern) if self.rays.geometry.is_opaque() => {
                 let best = BackEnd::best();
                 exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, &mut |_| true)
@@ -206,6 +237,7 @@ pub struct SkyRays {
 }
 
 const MASK: &str = "mask";
+const MASK_PREFILTER: &str = "mask-prefilter";
 const MASK_TABLE: &str = "mask-table";
 /// Rasterization answers whole images before pixels are shaded (`raster_sky.rs`).
 pub(crate) const MASK_RASTER: &str = "mask-raster";
@@ -225,7 +257,7 @@ pub const SHADOW_METHODS: &[&str] = &[
     PREFILTER,
 ];
 /// Names of the ambient occlusion methods, `auto` first.
-pub const AO_METHODS: &[&str] = &["auto", "rays", MASK, MASK_TABLE, MASK_RASTER, PREFILTER];
+pub const AO_METHODS: &[&str] = &["auto", "rays", MASK, MASK_PREFILTER, MASK_TABLE, MASK_RASTER, PREFILTER];
 
 /// Checks the names of both methods, before anything is built.
 ///
@@ -275,6 +307,7 @@ pub fn ao_method<'a>(
         let (method, reason) = match name {
             MASK => (MASK, "asked for"),
             MASK_TABLE => (MASK_TABLE, "asked for; approximate"),
+            MASK_PREFILTER => (MASK_PREFILTER, "asked for; approximate"),
             "auto" if mask_rays(sky.samples) && geometry.flat().is_some() => {
                 (MASK, "exact, and faster than single rays")
             }
@@ -291,7 +324,7 @@ pub fn ao_method<'a>(
         });
     }
     // Without a sky nothing is asked.
-    let name = if name == MASK || name == MASK_TABLE { AO_METHODS[1] } else { name };
+    let name = if [MASK, MASK_PREFILTER, MASK_TABLE].contains(&name) { AO_METHODS[1] } else { name };
     choose(name, "ambient occlusion", AO_METHODS, geometry)
 }
 

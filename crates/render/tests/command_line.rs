@@ -156,6 +156,12 @@ fn the_sky_by_masks_looks_like_the_sky_by_rays() {
     let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
     let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
     assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
+    // Near by masks, far by prefiltered nodes.
+    folder.ok("render many.toml -o far.exr --ao mask-prefilter");
+    let comparison = folder.ok("compare exact.exr far.exr --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
+    assert!(rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
     // By rasterization, as a whole and in parts.
     folder.ok("render many.toml -o raster.exr --ao mask-raster");
     folder.ok("render many.toml -o part1.exr --ao mask-raster --shard 1/2");
@@ -268,6 +274,13 @@ fn masks_bake_given_points_and_write_down_their_rays() {
     assert_eq!(stats["method"], "mask");
     folder.ok(&format!("{bake}-table -o table.ply --rays 64 --radius 2"));
     assert!((ao(&folder.path("table.ply"))[0] - values[0]).abs() < 0.1);
+    folder.ok(&format!("{bake}-prefilter -o far.ply --rays 64 --radius 2"));
+    assert!((ao(&folder.path("far.ply"))[0] - values[0]).abs() < 0.1);
+    folder.ok(&format!("{bake} -o few.ply --rays 1024 --radius 2 --target-error 0.01"));
+    assert!((ao(&folder.path("few.ply"))[0] - values[0]).abs() < 0.05);
+    folder.fails(&format!("{bake} -o x.ply --target-error 0"), &["target error"]);
+    folder.fails(&format!("{bake} -o x.ply --target-error 0.1 --bent-normals"), &["target error", "mask"]);
+    folder.fails("bake mesh.obj -o x.ply --method rays --target-error 0.1", &["target error", "mask"]);
     folder.ok("bake mesh.obj -o bent.exr --per texel --size 8 --rays 32 --bent-normals");
     // Other numbers of rays are left to single rays.
     folder.ok("bake mesh.obj -o rays.ply --points points.ply --rays 33 --stats rays.json");

@@ -64,7 +64,7 @@ pub fn answer_receivers(
     outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), MaskError> {
-    let engine = Masks::new(bvh, pattern, options, back_end, &outputs)?;
+    let engine = Masks::new(bvh, pattern, options, f32::INFINITY, back_end, &outputs)?;
     drive::run(&engine, pattern, options, receivers, outputs, progress)
 }
 
@@ -88,15 +88,18 @@ pub fn transmit(
     if options.sides == Sides::FrontFirst {
         return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
     }
-    let masks = Masks::new(bvh, pattern, options, back_end, &outputs)?;
+    let masks = Masks::new(bvh, pattern, options, f32::INFINITY, back_end, &outputs)?;
     drive::run(&Veils { masks, depth_of }, pattern, options, receivers, outputs, progress)
 }
 
+/// What a thread keeps.
+pub(crate) type Walks = Box<[Walk]>;
+
 /// What all receivers of a call share.
-struct Masks<'a> {
+pub(crate) struct Masks<'a> {
     bvh: &'a Bvh,
-    pattern: &'a Pattern,
-    options: &'a MaskOptions,
+    pub(crate) pattern: &'a Pattern,
+    pub(crate) options: &'a MaskOptions,
     back_end: BackEnd,
     /// Whether distances are asked for.
     distances: bool,
@@ -104,10 +107,12 @@ struct Masks<'a> {
 }
 
 impl<'a> Masks<'a> {
-    fn new(
+    /// Rays end at `limit` (world units) if they are longer; those that can't walk needn't.
+    pub(crate) fn new(
         bvh: &'a Bvh,
         pattern: &'a Pattern,
         options: &'a MaskOptions,
+        limit: f32,
         back_end: BackEnd,
         outputs: &Outputs<'_>,
     ) -> Result<Self, MaskError> {
@@ -116,7 +121,7 @@ impl<'a> Masks<'a> {
         }
         options.validate(pattern)?;
         let distances = outputs.hit_distances.is_some();
-        let parts = rays::parts(pattern, options.radius);
+        let parts = rays::parts(pattern, options.radius, limit);
         Ok(Self { bvh, pattern, options, back_end, distances, parts })
     }
 
@@ -144,13 +149,13 @@ impl<'a> Masks<'a> {
 }
 
 impl Engine for Masks<'_> {
-    type Scratch = Box<[Walk]>;
+    type Scratch = Walks;
 
-    fn scratch(&self) -> Box<[Walk]> {
+    fn scratch(&self) -> Walks {
         (0..TURNS).map(|_| Walk::new()).collect()
     }
 
-    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Box<[Walk]>) {
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Walks) {
         let sides = self.options.sides;
         if self.distances || sides == Sides::FrontFirst {
             self.run_nearest(receivers, answers, walks);
@@ -167,13 +172,13 @@ struct Veils<'a, F> {
 }
 
 impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for Veils<'_, F> {
-    type Scratch = Box<[Walk]>;
+    type Scratch = Walks;
 
-    fn scratch(&self) -> Box<[Walk]> {
+    fn scratch(&self) -> Walks {
         self.masks.scratch()
     }
 
-    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Box<[Walk]>) {
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Walks) {
         let Self { masks, depth_of } = self;
         if masks.distances {
             masks.run_nearest(receivers, answers, walks);

@@ -245,25 +245,27 @@ pub(crate) struct Part {
     pub(crate) cone: Cone,
 }
 
-/// The runs that a pattern is cut into: halves of halves, as it was ordered.
-pub(crate) fn parts(pattern: &Pattern, radius: f32) -> Vec<Part> {
+/// The runs that a pattern is cut into: halves of halves, as it was ordered. Rays are no longer than `limit`, world units.
+pub(crate) fn parts(pattern: &Pattern, radius: f32, limit: f32) -> Vec<Part> {
     let mut parts = Vec::new();
-    cut(pattern, radius, 0, pattern.len(), &mut parts);
+    let lengths: Vec<f32> = pattern.lengths().iter().map(|length| (radius * length).min(limit)).collect();
+    cut(pattern, &lengths, 0, pattern.len(), &mut parts);
     parts
 }
 
-fn cut(pattern: &Pattern, radius: f32, first: usize, len: usize, parts: &mut Vec<Part>) {
+fn cut(pattern: &Pattern, lengths: &[f32], first: usize, len: usize, parts: &mut Vec<Part>) {
     if len > RAYS {
         let half = Pattern::half(len);
-        cut(pattern, radius, first, half, parts);
-        cut(pattern, radius, first + half, len - half, parts);
+        cut(pattern, lengths, first, half, parts);
+        cut(pattern, lengths, first + half, len - half, parts);
     } else {
-        parts.push(Part::new(pattern, radius, first, len));
+        parts.push(Part::new(pattern, lengths, first, len));
     }
 }
 
 impl Part {
-    fn new(pattern: &Pattern, radius: f32, first: usize, len: usize) -> Self {
+    /// `lengths` of the pattern's rays, world units.
+    fn new(pattern: &Pattern, lengths: &[f32], first: usize, len: usize) -> Self {
         let directions = &pattern.directions()[first..first + len];
         let mut part = Self {
             first,
@@ -275,11 +277,10 @@ impl Part {
             cone: Cone::around(directions.iter().map(|d| d.normalize())),
         };
         part.set.groups = len / GROUP;
-        for (i, (d, length)) in directions.iter().zip(&pattern.lengths()[first..]).enumerate() {
+        for (i, (d, &tfar)) in directions.iter().zip(&lengths[first..]).enumerate() {
             for axis in 0..3 {
                 part.local[axis][i] = d[axis];
             }
-            let tfar = radius * length;
             part.reach = part.reach.max(tfar);
             part.set.far[i] = tfar * 2.0;
             let walks = part.set.far[i] >= f32::MIN_POSITIVE;

@@ -17,7 +17,7 @@ use umbrage_geom::{
 pub(crate) const FEW: u32 = 4;
 
 /// Most groups whose rays are tested before they are pushed.
-pub(crate) const MANY: u32 = 8;
+pub(crate) const MANY: u32 = 12;
 
 /// Fewest rays for which a node is first tested against the hull.
 const WIDE: u32 = 4;

@@ -48,7 +48,7 @@ pub fn blocks(receivers: usize) -> usize {
 /// the receiver's own triangle are mirrored at its plane, so that convex surfaces stay exactly 1.
 ///
 /// # Errors
-/// Those of [`BakeOptions::validate`]; [`BakeError::SidesWithPrefilter`], [`BakeError::SemiTransparent`], [`BakeError::Length`],
+/// Those of [`BakeOptions::validate`]; [`BakeError::SidesWithPrefilter`], [`BakeError::SemiTransparent`], [`BakeError::TargetError`], [`BakeError::Length`],
 /// [`BakeError::Shard`], [`BakeError::Cancelled`]. After an error `ao` is as it was.
 pub fn bake(
     occluders: &Occluders,
@@ -61,6 +61,9 @@ pub fn bake(
     options.validate()?;
     if occluders.is_prefiltered() && options.sides != Sides::Both {
         return Err(BakeError::SidesWithPrefilter);
+    }
+    if options.target_error.is_some() {
+        return Err(BakeError::TargetError("only ao, by method mask, can be baked to a target error"));
     }
     if options.sides == Sides::FrontFirst && !occluders.is_opaque() {
         return Err(BakeError::SemiTransparent);

@@ -8,8 +8,8 @@ use super::{
 use std::io::{self, Write};
 use umbrage_aomask::{
     self as aomask, BackEnd, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver,
-    TableOptions,
-    exact::{self, fans},
+    TableOptions, coarse,
+    exact::{self, adaptive::Adaptive, fans},
 };
 use umbrage_geom::{OpticalDepth, Ray, glam::Vec3, offset_origin, sampling::combine};
 
@@ -22,6 +22,9 @@ pub enum MaskMethod {
     /// Exactly: the bits of single rays.
     #[default]
     Exact,
+    /// Exactly up to a tenth of the radius (of the diagonal where there is none), by prefiltered opacity beyond it: approximate.
+    /// Opaque occluders that [`Occluders::prefiltered`] has been called on.
+    Prefilter,
     /// From tables, approximately (`docs/aomask.md` has the errors); opaque occluders only. Rays that would start into the
     /// receiver's own triangle, as around a shading normal, are blocked by it.
     Table,
@@ -56,8 +59,16 @@ pub fn bake_masks(
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), BakeError> {
     options.validate()?;
-    if !occluders.is_opaque() && (method == MaskMethod::Table || options.sides == Sides::FrontFirst) {
+    if !occluders.is_opaque() && (method != MaskMethod::Exact || options.sides == Sides::FrontFirst) {
         return Err(BakeError::SemiTransparent);
+    }
+    if options.target_error.is_some() {
+        if method != MaskMethod::Exact || extras.dump.is_some() || extras.bent_normals.is_some() {
+            return Err(BakeError::TargetError("only ao, by method mask, can be baked to a target error"));
+        }
+        if !occluders.is_opaque() {
+            return Err(BakeError::SemiTransparent);
+        }
     }
     let MaskExtras { dump, bent_normals } = extras;
     if let Some(bent) = bent_normals.as_ref().filter(|bent| bent.len() != receivers.len()) {
@@ -74,11 +85,24 @@ pub fn bake_masks(
     let mask_options =
         MaskOptions::default().with_radius(options.radius.resolve(occluders.diagonal())).with_sides(sides);
     let asked = lobes(receivers, &mine, options)?;
+    let adaptive = match options.target_error {
+        Some(target) => Some((Adaptive::new(&pattern_options(options))?, target)),
+        None => None,
+    };
     let (directions, masks) = (bent_normals.is_some(), dump.is_some());
-    let job = Job { occluders, pattern: &pattern, options: &mask_options, asked: &asked, directions, masks };
+    let job = Job {
+        occluders,
+        pattern: &pattern,
+        options: &mask_options,
+        asked: &asked,
+        directions,
+        masks,
+        adaptive,
+    };
     let answers = match method {
         MaskMethod::Exact => job.exact(progress)?,
         MaskMethod::Table => job.table(progress)?,
+        MaskMethod::Prefilter => job.prefilter(progress)?,
     };
     if let Some(out) = dump {
         job.dump(&answers, method, out).map_err(BakeError::Dump)?;
@@ -144,6 +168,8 @@ struct Job<'a> {
     directions: bool,
     /// Whether masks are wanted.
     masks: bool,
+    /// Patterns for a target error.
+    adaptive: Option<(Adaptive, f32)>,
 }
 
 impl Job<'_> {
@@ -185,10 +211,21 @@ impl Job<'_> {
         })
     }
 
+    fn prefilter(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
+        let far = self.occluders.far().ok_or(BakeError::NotPrefiltered)?;
+        let near = crate::method::NEAR * self.options.radius.min(self.occluders.diagonal());
+        let (bvh, best) = (self.occluders.bvh(), BackEnd::best());
+        let all: Vec<usize> = (0..self.asked.len()).collect();
+        self.by_masks(&all, |receivers, outputs| {
+            let (pattern, options) = (self.pattern, self.options);
+            coarse::answer_receivers(bvh, &far, near, pattern, receivers, options, best, outputs, progress)
+        })
+    }
+
     /// Where the pattern's rays are taken as they are they walk as such; where some are mirrored, or their fractions are
     /// needed, they are listed.
     fn exact(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let Self { occluders, pattern, options, .. } = *self;
+        let &Self { occluders, pattern, options, .. } = self;
         let fractions = self.directions && !occluders.is_opaque();
         let (listed, plain): (Vec<usize>, Vec<usize>) =
             (0..self.asked.len()).partition(|&i| fractions || self.dips(&self.asked[i]));
@@ -196,7 +233,19 @@ impl Job<'_> {
         let part = self.by_masks(&plain, |receivers, outputs| {
             let mut progress = |fraction: f32| progress(fraction * share);
             let (bvh, best) = (occluders.bvh(), BackEnd::best());
-            if occluders.is_opaque() {
+            if let Some((adaptive, target)) = &self.adaptive {
+                let mut used = vec![0; receivers.len()];
+                adaptive.answer_receivers(
+                    bvh,
+                    receivers,
+                    options,
+                    *target,
+                    best,
+                    outputs,
+                    &mut used,
+                    &mut progress,
+                )
+            } else if occluders.is_opaque() {
                 exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, &mut progress)
             } else {
                 let depth = |prim| occluders.depth_of(prim);

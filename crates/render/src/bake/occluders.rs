@@ -2,6 +2,7 @@
 
 use super::{BakeError, Sides};
 use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_aomask::coarse::FarField;
 use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
@@ -34,6 +35,20 @@ pub struct Occluders {
 
 /// Threshold `T` of prefiltered ambient occlusion, see `docs/prefilter.md`.
 const THRESHOLD: f32 = 0.3;
+
+/// See [`Occluders::far`].
+pub(super) struct Far<'a> {
+    scene: &'a Prefiltered,
+    query: &'a Query,
+}
+
+impl FarField for Far<'_> {
+    fn transmittances(&self, rays: &[Ray], solid_angles: &[f32], passed: &mut [f32]) {
+        let cones: Vec<ConeRay> =
+            rays.iter().zip(solid_angles).map(|(&ray, &solid_angle)| ConeRay { ray, solid_angle }).collect();
+        self.scene.transmittances_with(&cones, self.query, passed, &mut ());
+    }
+}
 
 /// Buffers of [`Occluders::light`].
 #[derive(Default)]
@@ -105,6 +120,11 @@ impl Occluders {
     /// Whether exact rays are not used.
     pub fn is_prefiltered(&self) -> bool {
         self.prefiltered.is_some()
+    }
+
+    /// The prefiltered occluders as what lies far away.
+    pub(super) fn far(&self) -> Option<Far<'_>> {
+        self.prefiltered.as_ref().map(|(scene, query)| Far { scene, query })
     }
 
     /// Bounds of the meshes, without the ground.

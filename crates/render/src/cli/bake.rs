@@ -80,6 +80,9 @@ pub struct BakeArguments {
     /// floats origin, tnear, direction, tfar, then 1 or 0 as an integer. Only for methods with masks.
     #[arg(long, value_name = "FILE")]
     dump_rays: Option<PathBuf>,
+    /// Give each vertex, texel or point as many rays, up to --rays, as this standard error of ao asks for. With --method mask.
+    #[arg(long, value_name = "E")]
+    target_error: Option<f32>,
     /// Also write bent normals, the mean directions of free rays. Only for methods with masks.
     #[arg(long)]
     bent_normals: bool,
@@ -98,6 +101,8 @@ enum Method {
     Rays,
     /// Rays that end at prefiltered nodes: approximate, for foliage and hair.
     Prefilter,
+    /// Masks for what is near, prefiltered nodes beyond: approximate. 32 to 1024 rays, a multiple of 32.
+    MaskPrefilter,
     /// All rays of a receiver as one bit mask, from tables: approximate. 32 to 1024 rays, a multiple of 32.
     MaskTable,
 }
@@ -118,6 +123,7 @@ impl Method {
             Self::Mask => "mask",
             Self::Rays => "rays",
             Self::Prefilter => "prefilter",
+            Self::MaskPrefilter => "mask-prefilter",
             Self::MaskTable => "mask-table",
         }
     }
@@ -126,6 +132,7 @@ impl Method {
     fn mask(self) -> Option<MaskMethod> {
         match self {
             Self::Mask => Some(MaskMethod::Exact),
+            Self::MaskPrefilter => Some(MaskMethod::Prefilter),
             Self::MaskTable => Some(MaskMethod::Table),
             Self::Auto | Self::Rays | Self::Prefilter => None,
         }
@@ -202,13 +209,14 @@ impl BakeArguments {
             SidesArgument::Front => Sides::Front,
             SidesArgument::FrontFirst => Sides::FrontFirst,
         };
-        BakeOptions::default()
+        let options = BakeOptions::default()
             .with_rays(self.rays)
             .with_radius(self.radius.0)
             .with_falloff(self.falloff.clone())
             .with_sides(sides)
             .with_bias(self.bias)
-            .with_seed(self.seed)
+            .with_seed(self.seed);
+        BakeOptions { target_error: self.target_error, ..options }
     }
 
     fn normal_source(&self) -> NormalSource {
@@ -250,6 +258,10 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
             "{name} needs a method with masks: --method mask or mask-table, with 32 to 1024 rays, a multiple of 32"
         );
     }
+    ensure!(
+        arguments.target_error.is_none() || arguments.shard.is_none(),
+        "--target-error and --shard exclude each other: rays depend on the receivers around"
+    );
     ensure!(
         !arguments.bent_normals || arguments.shard.is_none(),
         "--bent-normals and --shard exclude each other: parts hold only ao"
@@ -328,7 +340,7 @@ fn bake_and_write(
     let ground = if arguments.ground { Ground::Below } else { Ground::Absent };
     let meshes: Vec<&TriangleMesh> = std::iter::once(&input.mesh).chain(&input.occluders).collect();
     let mut occluders = Occluders::build(&meshes, ground).with_context(source)?;
-    if let Method::Prefilter = arguments.method {
+    if let Method::Prefilter | Method::MaskPrefilter = arguments.method {
         occluders = occluders.prefiltered().with_context(source)?;
     }
     let build_s = start.elapsed().as_secs_f64();
