@@ -23,7 +23,8 @@ pub fn rows(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
             let workload = Workload::new(points, &pattern, (radius * diagonal) as f32, params);
             let mut hits = vec![false; workload.rays.len()];
             let start = Instant::now();
-            case.one.install(|| case.ours.bvh().any_hits(&workload.rays, &mut hits));
+            let bvh = case.ours.bvh();
+            case.one.install(|| bvh.any_hits(&workload.rays, &mut hits));
             let rays_s = start.elapsed().as_secs_f64();
             for back_end in BackEnd::ALL.into_iter().filter(|b| b.is_supported()) {
                 output.row(&row(case, &workload, &hits, rays_s, back_end)?)?;
@@ -36,10 +37,10 @@ pub fn rows(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
 fn row(case: &Case, workload: &Workload, hits: &[bool], rays_s: f64, back_end: BackEnd) -> Result<Row> {
     let Workload { points, normals, pattern, options, .. } = workload;
     let (mut ao, mut masks) = (vec![0.0; points.len()], vec![0; points.len() * pattern.words()]);
+    let bvh = case.ours.bvh();
     let start = Instant::now();
     case.one.install(|| {
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
-        let bvh = case.ours.bvh();
         exact::answer(bvh, pattern, points, normals, options, back_end, outputs, &mut |_| true)
     })?;
     let time_s = start.elapsed().as_secs_f64();

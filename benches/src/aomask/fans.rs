@@ -181,7 +181,8 @@ impl<A: Asked> Entry<A> for Fans<'_, A> {
 
     fn run(&mut self, pool: Option<&ThreadPool>) {
         let Self { case, rays, per_fan, back_end, answers, one } = self;
-        pool.unwrap_or(one).install(|| A::ask(case.ours.bvh(), rays, *per_fan, *back_end, answers));
+        let bvh = case.ours.bvh();
+        pool.unwrap_or(one).install(|| A::ask(bvh, rays, *per_fan, *back_end, answers));
     }
 
     fn answers(&self) -> Vec<A> {

@@ -283,3 +283,103 @@ fn masks_with_an_exact_far_field_are_exact() {
     }
     assert!(matches!(call(1.0, &options.with_sides(Sides::Front)), Err(MaskError::Unsupported(_))));
 }
+
+/// The unit cube, closed.
+fn cube() -> Scene {
+    let positions: Vec<[f32; 3]> =
+        (0..8).map(|i| [(i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32]).collect();
+    let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let triangles = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+    common::from_mesh(umbrage_geom::TriangleMesh::new(positions, triangles).unwrap())
+}
+
+#[test]
+fn odd_receivers_and_radii_have_defined_answers() {
+    let scene = cube();
+    let pattern = pattern(96, Falloff::Constant);
+    // In the middle; on a vertex, an edge and a face, looking in and out; far away.
+    let points = [[0.5; 3], [0.0; 3], [0.0; 3], [0.5, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [1e20; 3]];
+    let (d, u) = ([1.0, 1.0, 1.0], [0.0, 0.0, 1.0]);
+    let normals = [u, d, d.map(|x| -x), u, u, [0.0, 0.0, -1e30], u];
+    let ao = |radius: f32, sides| {
+        let mut ao = [-1.0; 7];
+        let options = MaskOptions::default().with_radius(radius).with_sides(sides);
+        let outputs = Outputs::new(&mut ao);
+        let best = BackEnd::best();
+        exact::answer(&scene.bvh, &pattern, &points, &normals, &options, best, outputs, &mut |_| true)
+            .map(|()| ao)
+    };
+    let all = ao(f32::INFINITY, Sides::Both).unwrap();
+    assert_eq!([all[0], all[6]], [0.0, 1.0]);
+    // Rays in the plane of a face don't hit it; those that look out of the cube are free.
+    assert_eq!([all[4], all[5]], [0.0, 1.0]);
+    assert!(all[1] < all[2] && all.iter().all(|x| (0.0..=1.0).contains(x)), "{all:?}");
+    assert_eq!(ao(1e9 * 2.0, Sides::Both).unwrap(), all);
+    assert_eq!(ao(1e-30, Sides::Both).unwrap()[0], 1.0);
+    // From inside only backs are seen.
+    for sides in [Sides::Front, Sides::FrontFirst] {
+        assert_eq!(ao(f32::INFINITY, sides).unwrap()[0], 1.0);
+    }
+    for radius in [0.0, -1.0, f32::NAN, f32::NEG_INFINITY] {
+        assert!(matches!(ao(radius, Sides::Both), Err(MaskError::Radius(_))));
+    }
+    let falling = common::pattern(32, Falloff::Linear);
+    let unbounded = MaskOptions::default();
+    let (mut one, best) = ([0.0; 7], BackEnd::best());
+    let refused = exact::answer(
+        &scene.bvh,
+        &falling,
+        &points,
+        &normals,
+        &unbounded,
+        best,
+        Outputs::new(&mut one),
+        &mut |_| true,
+    );
+    assert_eq!(refused, Err(MaskError::FalloffWithoutRadius));
+}
+
+#[test]
+fn degenerate_triangles_block_nothing_and_empty_scenes_are_refused() {
+    let flat = soup(&[[[0.0; 3]; 3], [[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 2.0, 1.0]]]);
+    let (mut ao, pattern) = ([0.0; 2], pattern(64, Falloff::Constant));
+    let (points, normals) = ([[0.0; 3], [0.0, 1.0, 1.0]], [[0.0, 0.0, 1.0]; 2]);
+    let (options, best) = (MaskOptions::default(), BackEnd::best());
+    exact::answer(&flat.bvh, &pattern, &points, &normals, &options, best, Outputs::new(&mut ao), &mut |_| {
+        true
+    })
+    .unwrap();
+    assert_eq!(ao, [1.0; 2]);
+    assert!(umbrage_accel::Bvh::build(&[], &[], &umbrage_accel::BuildOptions::default()).is_err());
+    // No receivers are no trouble.
+    exact::answer(&flat.bvh, &pattern, &[], &[], &options, best, Outputs::new(&mut []), &mut |_| true)
+        .unwrap();
+}
+
+#[test]
+fn bad_patterns_and_receivers_are_named() {
+    for rays in [0, 31, 33, 1056] {
+        let refused = Pattern::new(&PatternOptions::default().with_rays(rays));
+        assert!(matches!(refused, Err(MaskError::Rays(n)) if n == rays));
+    }
+    for table in [vec![0.5, 0.8], vec![1.0, f32::NAN, 0.0], vec![]] {
+        let options = PatternOptions::default().with_falloff(Falloff::Table(table));
+        assert!(matches!(Pattern::new(&options), Err(MaskError::Falloff(_))));
+    }
+    let (scene, pattern) = (cube(), pattern(32, Falloff::Constant));
+    let mut ao = [-1.0; 2];
+    let mut call = |points: &[[f32; 3]], normals: &[[f32; 3]]| {
+        let (options, best) = (MaskOptions::default(), BackEnd::best());
+        let outputs = Outputs::new(&mut ao);
+        exact::answer(&scene.bvh, &pattern, points, normals, &options, best, outputs, &mut |_| true)
+    };
+    let up = [0.0, 0.0, 1.0];
+    for bad in [[0.0; 3], [f32::NAN, 0.0, 0.0], [f32::INFINITY, 0.0, 0.0]] {
+        assert!(matches!(call(&[[0.0; 3]; 2], &[up, bad]), Err(MaskError::Normal { index: 1, .. })));
+    }
+    for bad in [[f32::NAN; 3], [f32::INFINITY, 0.0, 0.0], [1e30; 3]] {
+        assert!(matches!(call(&[bad, [0.0; 3]], &[up; 2]), Err(MaskError::Point { index: 0, .. })));
+    }
+    assert!(matches!(call(&[[0.0; 3]; 2], &[up]), Err(MaskError::Length { what: "normals", .. })));
+    assert_eq!(ao, [-1.0; 2]);
+}
