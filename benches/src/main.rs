@@ -39,8 +39,8 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Only this part of a suite; anyhit: choices; aomask: targets, mask, table1, table2, figure5, figure6, figure7; prefilter: targets,
-    /// tables, fig5, fig6, fig9, fig10, bias, refit, control, forest.
+    /// Only this part of a suite; anyhit: choices; aomask: targets, mask, fans, prefilter, bits, table1, table2, figure5,
+    /// figure6, figure7; prefilter: targets, tables, fig5, fig6, fig9, fig10, bias, refit, control, forest.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
     /// Pixels along a side of the images of suite reyes: 96 if quick, else 1024.

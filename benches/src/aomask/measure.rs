@@ -15,10 +15,10 @@ use umbrage_geom::Ray;
 const HEATS: usize = 1;
 
 /// A method's fastest entry after its passes.
-struct Measured<'e> {
-    entry: Box<dyn Entry<bool> + 'e>,
-    times: Vec<f64>,
-    answers: Vec<bool>,
+pub struct Measured<'e, A> {
+    pub entry: Box<dyn Entry<A> + 'e>,
+    pub times: Vec<f64>,
+    pub answers: Vec<A>,
 }
 
 /// Rows of all methods against `rays`, and of the mask methods against each peer. `extra` gives more counters by method.
@@ -49,8 +49,7 @@ pub fn rows_of(
     output: &mut Output,
     extra: impl Fn(&str) -> Value,
 ) -> Result<()> {
-    let best = fastest(measure(entries, HEATS));
-    let best = measure(best.into_iter().map(|m| m.entry).collect(), passes);
+    let best = of_fastest(entries, passes);
     let of_method = |name: &str| best.iter().find(|m| m.entry.method() == name);
     let rays = of_method("rays").expect("always measured");
     for method in &best {
@@ -71,8 +70,8 @@ pub fn rows_of(
 fn row(
     case: &Case,
     workload: &Workload,
-    method: &Measured,
-    rays: &Measured,
+    method: &Measured<bool>,
+    rays: &Measured<bool>,
     extra: &impl Fn(&str) -> Value,
 ) -> Row {
     let count = workload.rays.len();
@@ -120,7 +119,7 @@ fn ao(answers: &[bool], per_receiver: usize) -> impl Iterator<Item = f64> + '_ {
 }
 
 /// Times all entries in turn on this thread.
-fn measure<'e>(entries: Vec<Box<dyn Entry<bool> + 'e>>, passes: usize) -> Vec<Measured<'e>> {
+fn measure<'e, A>(entries: Vec<Box<dyn Entry<A> + 'e>>, passes: usize) -> Vec<Measured<'e, A>> {
     let mut runs: Vec<_> =
         entries.into_iter().map(|entry| OnThreads { entry, pool: None, answers: None }).collect();
     let mut timed: Vec<&mut dyn Timed> = runs.iter_mut().map(|run| run as &mut dyn Timed).collect();
@@ -131,10 +130,16 @@ fn measure<'e>(entries: Vec<Box<dyn Entry<bool> + 'e>>, passes: usize) -> Vec<Me
         .collect()
 }
 
+/// Passes of the fastest of `entries` of each method.
+pub fn of_fastest<A>(entries: Vec<Box<dyn Entry<A> + '_>>, passes: usize) -> Vec<Measured<'_, A>> {
+    let best = fastest(measure(entries, HEATS));
+    measure(best.into_iter().map(|m| m.entry).collect(), passes)
+}
+
 /// The entry with the smallest time of each method, methods in order of their first entry.
-fn fastest(measured: Vec<Measured>) -> Vec<Measured> {
-    let smallest = |m: &Measured| m.times.iter().copied().fold(f64::INFINITY, f64::min);
-    let mut best: Vec<Measured> = Vec::new();
+fn fastest<A>(measured: Vec<Measured<'_, A>>) -> Vec<Measured<'_, A>> {
+    let smallest = |m: &Measured<A>| m.times.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut best: Vec<Measured<A>> = Vec::new();
     for m in measured {
         match best.iter_mut().find(|known| known.entry.method() == m.entry.method()) {
             None => best.push(m),

@@ -4,12 +4,15 @@
 //! that this project's own targets refer to. Not here: receivers and rays (`workload.rs`), the methods (`methods.rs`), rows
 //! (`measure.rs`).
 
+mod bits;
 mod camera;
 mod exact;
+mod fans;
 mod figures;
 mod measure;
 mod methods;
 mod picture;
+mod prefilter;
 mod workload;
 
 use crate::{
@@ -42,7 +45,8 @@ pub struct Options {
 }
 
 /// Parts of the suite.
-pub const PARTS: [&str; 7] = ["targets", "mask", "table1", "table2", "figure5", "figure6", "figure7"];
+pub const PARTS: [&str; 10] =
+    ["targets", "mask", "fans", "prefilter", "bits", "table1", "table2", "figure5", "figure6", "figure7"];
 
 /// Numbers of rays and radii, as fractions of the diagonal, of the targets.
 const TARGET_RAYS: [u32; 3] = [128, 256, 1024];
@@ -114,6 +118,15 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
         if options.part.as_deref() == Some("mask") {
             exact(&case, options, output)?;
         }
+        if wanted("fans") {
+            fans::rows(&case, options, output)?;
+        }
+        if wanted("prefilter") {
+            prefilter::rows(&case, options, output)?;
+        }
+        if options.part.as_deref() == Some("bits") {
+            bits::rows(&case, options, output)?;
+        }
         if wanted("table1") {
             table1(&case, options, output)?;
         }
@@ -123,7 +136,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             }
         }
     }
-    output.geomeans(&["part", "rays"])
+    output.geomeans(&["part", "rays", "alpha"])
 }
 
 impl Case {

@@ -81,7 +81,12 @@ fn count(rays: u32, quick: bool) -> usize {
 
 /// Runs of neighbours out of a dense set over the whole surface.
 pub fn surface(mesh: &TriangleMesh, rays: u32, quick: bool) -> Receivers {
-    thin(scenes::receivers(mesh, WHOLE, 1), count(rays, quick))
+    surface_of(mesh, count(rays, quick))
+}
+
+/// About `count` receivers in runs of neighbours out of a dense set over the whole surface.
+pub fn surface_of(mesh: &TriangleMesh, count: usize) -> Receivers {
+    thin(scenes::receivers(mesh, WHOLE, 1), count)
 }
 
 /// Runs of neighbours out of what three cameras see at 512 x 384.

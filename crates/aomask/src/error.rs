@@ -63,6 +63,15 @@ pub enum MaskError {
         /// All rays.
         rays: usize,
     },
+    /// The error to reach is 0, negative or NaN.
+    #[error("target error is {0}, expected more than 0")]
+    TargetError(f32),
+    /// Azimuth can't be cut into that many sectors.
+    #[error("{0} sectors: expected 1 to 64")]
+    Sectors(u32),
+    /// The method can't do that.
+    #[error("this method can't tell {0}")]
+    Unsupported(&'static str),
     /// The rays of a fan have different origins.
     #[error("the rays of fan {fan} don't share an origin")]
     FanOrigin {

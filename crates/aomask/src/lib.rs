@@ -1,9 +1,11 @@
 #![doc = include_str!("../README.md")]
 #![deny(unsafe_code)] // but for `kernel/x86.rs`
 
+pub mod coarse;
 mod drive;
 mod error;
 pub mod exact;
+mod gather;
 mod kernel;
 mod options;
 pub mod pattern;

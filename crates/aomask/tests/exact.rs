@@ -53,6 +53,7 @@ fn scenes_have_the_bits_of_single_rays() {
                 let options = MaskOptions::default().with_radius(radius * diagonal).with_seed(rays);
                 check(&scene, &pattern, &points, &options);
                 check(&scene, &pattern, &points, &options.with_sides(Sides::Front));
+                check(&scene, &pattern, &points, &options.with_sides(Sides::FrontFirst));
             }
         }
     }
@@ -71,7 +72,7 @@ proptest! {
         points in prop::collection::vec((corner(), corner()), 1..12),
         on_vertex in any::<bool>(), radius in prop::sample::select(vec![1e-20f32, 0.1, 1.0, 1e9, f32::INFINITY]),
         (scale, shift) in prop::sample::select(vec![(1f32, 0f32), (1e-12, 0.0), (1e12, 0.0), (1.0, 1e4)]),
-        front in any::<bool>(), axes in any::<bool>(),
+        sides in prop::sample::select(vec![Sides::Both, Sides::Front, Sides::FrontFirst]), axes in any::<bool>(),
     ) {
         let place = |p: [f32; 3]| p.map(|x| x * scale + shift);
         let triangles: Vec<_> = triangles.into_iter().map(|t| t.map(place)).collect();
@@ -84,7 +85,6 @@ proptest! {
         // Without jitter about an axis, many directions lie in planes of the grid.
         let options = PatternOptions::default().with_rays(96);
         let pattern = Pattern::new(&if axes { options.with_jitter(0.0, 0.0) } else { options }).unwrap();
-        let sides = if front { Sides::Front } else { Sides::Both };
         check(&scene, &pattern, &points, &MaskOptions::default().with_radius(radius * scale).with_sides(sides));
     }
 
@@ -115,7 +115,7 @@ proptest! {
             fans::any_hits(&scene.bvh, &rays, per_fan, Sides::Both, back_end, &mut hits).unwrap();
             prop_assert_eq!(&hits, &expected, "{:?}", back_end);
             let mut sums = vec![OpticalDepth::OPAQUE; rays.len()];
-            fans::transmittances(&scene.bvh, &rays, per_fan, depth, back_end, &mut sums).unwrap();
+            fans::transmittances(&scene.bvh, &rays, per_fan, Sides::Both, depth, back_end, &mut sums).unwrap();
             prop_assert_eq!(&sums, &dimmed, "{:?}", back_end);
         }
     }

@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mean = ao.iter().map(|&a| f64::from(a)).sum::<f64>() / ao.len() as f64;
     println!("{} vertices, mean ao {mean:.4} (1 is open)", ao.len());
     if let Some(output) = arguments.get(1) {
-        Baked { surface: Surface::Vertices(mesh), ao }.write(output.as_ref())?;
+        Baked { surface: Surface::Vertices(mesh), ao, bent_normals: None }.write(output.as_ref())?;
     }
     Ok(())
 }

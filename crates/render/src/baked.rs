@@ -6,7 +6,7 @@
 use crate::{
     bake::TexelImage,
     image::{
-        Film, Format, GREY, ImageError, ShardError, ShardSpec, ValueRange, names, write_exr, write_grey,
+        Film, Format, GREY, ImageError, ShardError, ShardSpec, ValueRange, XYZ, names, write_exr, write_grey,
     },
 };
 use std::path::{Path, PathBuf};
@@ -54,6 +54,8 @@ pub struct Baked {
     pub surface: Surface,
     /// Their `ao`.
     pub ao: Vec<f32>,
+    /// Their bent normals, if they were asked for: unit vectors in world space.
+    pub bent_normals: Option<Vec<[f32; 3]>>,
 }
 
 /// Why a bake could not be written, read or joined.
@@ -114,14 +116,22 @@ impl Surface {
 
 impl Baked {
     /// Writes the result, atomically: PLY with grey `red`, `green`, `blue` and a float `ao`; OBJ with vertex colours; PNG
-    /// with 8-bit linear grey; EXR with layers `ao` and `coverage`.
+    /// with 8-bit linear grey; EXR with layers `ao` and `coverage`. Bent normals are floats `bent_x`, `bent_y`, `bent_z` in PLY,
+    /// comments in OBJ, a layer `bent` in EXR, and left out of PNG.
     ///
     /// # Errors
     /// [`BakedError::Extension`], [`BakedError::Image`], [`BakedError::Write`].
     pub fn write(&self, path: &Path) -> Result<(), BakedError> {
         self.surface.check_extension(path)?;
         let colors = grey(&self.ao);
-        let scalars = [("ao", &self.ao[..])];
+        let axis = |axis: usize| -> Vec<f32> {
+            self.bent_normals.iter().flatten().map(|normal| normal[axis]).collect()
+        };
+        let bent = [0, 1, 2].map(axis);
+        let mut scalars = vec![("ao", &self.ao[..])];
+        if self.bent_normals.is_some() {
+            scalars.extend(["bent_x", "bent_y", "bent_z"].into_iter().zip(bent.iter().map(|b| &b[..])));
+        }
         let comments = ["ambient occlusion by Umbrage: ao is 1 where open, 0 where fully occluded"];
         let attributes = VertexAttributes {
             colors: Some(&colors),
@@ -165,6 +175,14 @@ impl Baked {
         film.add_layer_with(names::AO, GREY, image.ao)?;
         let coverage = image.covered.iter().map(|&c| f32::from(u8::from(c))).collect();
         film.add_layer_with("coverage", GREY, coverage)?;
+        if let Some(normals) = &self.bent_normals {
+            let mut bent = vec![0.0; 3 * pixels];
+            for (&[x, y], normal) in at.iter().zip(normals) {
+                let index = y as usize * width as usize + x as usize;
+                bent[3 * index..][..3].copy_from_slice(normal);
+            }
+            film.add_layer_with("bent", XYZ, bent)?;
+        }
         match Format::of(path)? {
             Format::Png => drop(write_grey(path, &film, names::AO, Some(ValueRange::UNIT))?),
             _ => write_exr(path, &film)?,
@@ -273,7 +291,7 @@ fn read_part(path: &Path) -> Result<(Header, Baked), BakedError> {
         return Err(not_a_part());
     }
     let surface = header.surface(ply).ok_or_else(not_a_part)?;
-    Ok((header, Baked { surface, ao }))
+    Ok((header, Baked { surface, ao, bent_normals: None }))
 }
 
 /// Joins the parts of a bake, given in any order: the result is, bit for bit, that of a run without shards.

@@ -34,9 +34,9 @@ pub enum RenderError {
     },
     /// Masks can't be used for the scene.
     #[error(
-        "methods with masks need opaque occluders in one mesh, not semi-transparent ones or kept instances"
+        "the method {0} can't do this scene: masks need all instances in one mesh, approximate ones opaque triangles too"
     )]
-    MaskGeometry,
+    MaskGeometry(&'static str),
     /// Rasterization needs a pinhole.
     #[error("the method mask-raster needs a camera without a lens (lens_radius 0)")]
     RasterLens,

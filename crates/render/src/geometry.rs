@@ -151,6 +151,24 @@ impl Geometry {
         }
     }
 
+    /// The hierarchy of a scene whose instances are one flat mesh.
+    pub(crate) fn flat(&self) -> Option<&Bvh> {
+        match &self.structure {
+            Structure::Flat(bvh) => Some(bvh),
+            Structure::Instanced(_) => None,
+        }
+    }
+
+    /// Whether every triangle blocks all light.
+    pub fn is_opaque(&self) -> bool {
+        self.opaque
+    }
+
+    /// Depth of a crossing of triangle `prim` of a flat scene.
+    pub(crate) fn flat_depth(&self, prim: u32) -> OpticalDepth {
+        self.depth_of((0, prim))
+    }
+
     /// Whether instances are kept apart.
     pub fn is_instanced(&self) -> bool {
         matches!(self.structure, Structure::Instanced(_))

@@ -7,6 +7,7 @@ use crate::{
     method::{LightRay, Method},
 };
 use umbrage_accel::Counters;
+use umbrage_aomask::Receiver;
 use umbrage_geom::{
     Falloff, Frame, Ray,
     glam::{Vec2, Vec3},
@@ -88,6 +89,10 @@ pub(crate) struct Scratch {
     passed: Vec<f32>,
     /// Index of the pixel at work.
     pixel: usize,
+    /// Openness of the sky by pixel and camera sample, where [`Integrator::open_pixels`] knows it.
+    open: Vec<f32>,
+    /// Which of those pixels is at work.
+    slot: u32,
     pub counts: RayCounts,
     pub counters: Counters,
 }
@@ -119,6 +124,34 @@ fn origin_on(surface: &Surface) -> Vec3 {
 }
 
 impl Integrator<'_> {
+    /// Asks the ambient method about all receivers of `pixels`, if it answers receivers; [`Self::pixel`] is then called with
+    /// the same pixels in the same order.
+    pub fn open_pixels(&self, pixels: &[(u32, u32)], scratch: &mut Scratch) {
+        scratch.open.clear();
+        if self.sky.is_none() || !self.open.is_empty() || !self.ambient.opennesses(&[], &mut []) {
+            return;
+        }
+        let (mut receivers, mut slots) = (Vec::new(), Vec::new());
+        let mut uncounted = Scratch::default();
+        for (slot, &(x, y)) in pixels.iter().enumerate() {
+            for sample in 0..self.spp {
+                let seed = combine(combine(pixel_seed(x, y, self.seed), sample), 1);
+                let receiver = self.receiver(x, y, sample, &mut uncounted).and_then(|(origin, normal)| {
+                    Receiver::new(slot, origin.to_array(), normal.to_array(), seed).ok()
+                });
+                if let Some(receiver) = receiver {
+                    receivers.push(receiver);
+                    slots.push(slot * self.spp as usize + sample as usize);
+                }
+            }
+        }
+        let mut open = vec![1.0; receivers.len()];
+        self.ambient.opennesses(&receivers, &mut open);
+        scratch.open.resize(pixels.len() * self.spp as usize, 1.0);
+        slots.into_iter().zip(open).for_each(|(slot, open)| scratch.open[slot] = open);
+        scratch.slot = 0;
+    }
+
     /// Computes pixel (`x`, `y`).
     pub fn pixel(&self, x: u32, y: u32, scratch: &mut Scratch) -> Pixel {
         let seed = pixel_seed(x, y, self.seed);
@@ -132,6 +165,7 @@ impl Integrator<'_> {
                 None => sums.beauty += self.background,
             }
         }
+        scratch.slot += 1;
         let samples = self.spp as f32;
         let hits = sums.hits as f32;
         let cost = work(&scratch.counters) - before;
@@ -251,9 +285,7 @@ impl Integrator<'_> {
             scratch.counts.ambient += u64::from(self.ao_samples);
             return open[scratch.pixel];
         }
-        if let Some(open) =
-            self.ambient.openness(origin, surface.shading_normal, combine(combine(seed, sample), 1))
-        {
+        if let Some(&open) = scratch.open.get((scratch.slot * self.spp + sample) as usize) {
             scratch.counts.ambient += u64::from(self.ao_samples);
             return open;
         }

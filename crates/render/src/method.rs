@@ -5,8 +5,12 @@
 
 use crate::{RenderError, geometry::Geometry, volumetric};
 use umbrage_accel::{Bvh, Counters};
-use umbrage_aomask::{MaskOptions, MaskTables, Pattern, PatternOptions, Receiver, TableOptions};
-use umbrage_geom::{Falloff, Ray, glam::Vec3};
+use umbrage_aomask::{
+    BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, TableOptions,
+    coarse::{self, FarField},
+    exact,
+};
+use umbrage_geom::{Falloff, Ray};
 use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query, StopStatistics};
 
 /// One sample of a light or of the sky, seen from a receiver.
@@ -26,11 +30,11 @@ pub trait Method: Sync {
     /// Writes the fraction of light that passes along each ray; counts into `counters` if there are any.
     fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>);
 
-    /// How open the sky is over a receiver at `origin` that looks along the unit vector `normal`, 1 is open: for methods
-    /// that choose ambient rays themselves. `None`, the default, asks for [`Self::transmittances`] instead.
-    fn openness(&self, origin: Vec3, normal: Vec3, seed: u32) -> Option<f32> {
-        let _ = (origin, normal, seed);
-        None
+    /// Writes how open the sky is over each receiver, 1 is open: for methods that choose ambient rays themselves. The
+    /// default, `false`, asks for [`Self::transmittances`] instead.
+    fn opennesses(&self, receivers: &[Receiver], open: &mut [f32]) -> bool {
+        let _ = (receivers, open);
+        false
     }
 }
 
@@ -117,43 +121,106 @@ const PREFILTER: &str = "prefilter";
 const SHADOW_THRESHOLD: f32 = 0.2;
 /// See [`SHADOW_THRESHOLD`].
 const AO_THRESHOLD: f32 = 0.3;
-/// All ambient rays of a receiver as one mask, from tables: approximate.
+/// Near occluders block in `mask-prefilter`, up to this share of the radius or, where there is none, of the diagonal.
+pub(crate) const NEAR: f32 = 0.1;
+
+impl FarField for PrefilteredRays<'_> {
+    fn transmittances(&self, rays: &[Ray], solid_angles: &[f32], passed: &mut [f32]) {
+        let cones: Vec<ConeRay> =
+            rays.iter().zip(solid_angles).map(|(&ray, &solid_angle)| ConeRay { ray, solid_angle }).collect();
+        self.answer(&cones, passed, &mut ());
+    }
+}
+
+/// All ambient rays of a receiver as one mask.
 struct Masks<'a> {
-    exact: SingleRays<'a>,
+    rays: SingleRays<'a>,
+    /// For [`Way::Prefiltered`].
+    far: Option<PrefilteredRays<'a>>,
     bvh: &'a Bvh,
-    tables: MaskTables,
+    way: Way,
     options: MaskOptions,
 }
 
+/// How masks are found.
+enum Way {
+    /// The bits of single rays.
+    Exact(Pattern),
+    /// From tables: approximate.
+    Tables(Box<MaskTables>),
+    /// Exact up to a distance, prefiltered beyond it: approximate.
+    Prefiltered(Pattern, f32),
+}
+
 impl<'a> Masks<'a> {
-    fn new(geometry: &'a Geometry, sky: &SkyRays) -> Result<Self, RenderError> {
-        let (bvh, _) = geometry.flat_opaque().ok_or(RenderError::MaskGeometry)?;
-        // Larger tilts would show as noise.
+    fn new(name: &'static str, geometry: &'a Geometry, sky: &SkyRays) -> Result<Self, RenderError> {
+        let bvh = geometry.flat().filter(|_| name == MASK || geometry.is_opaque());
+        let bvh = bvh.ok_or(RenderError::MaskGeometry(name))?;
         let pattern = PatternOptions::default()
-            .with_jitter(0.125, 0.2)
             .with_rays(sky.samples)
             .with_falloff(sky.falloff.clone())
             .with_seed(sky.seed);
-        let tables = MaskTables::new(Pattern::new(&pattern)?, &TableOptions::default())?;
+        let pattern = Pattern::new(&pattern)?;
         let options = MaskOptions::default().with_radius(sky.radius);
-        options.validate(tables.pattern())?;
-        Ok(Self { exact: SingleRays { geometry, name: MASK_TABLE }, bvh, tables, options })
+        options.validate(&pattern)?;
+        let way = match name {
+            MASK_TABLE => Way::Tables(Box::new(MaskTables::new(pattern, &TableOptions::default())?)),
+            MASK_PREFILTER => Way::Prefiltered(pattern, NEAR * sky.radius.min(geometry.bounds().diagonal())),
+            _ => Way::Exact(pattern),
+        };
+        let far =
+            (name == MASK_PREFILTER).then(|| PrefilteredRays::new(geometry, AO_THRESHOLD)).transpose()?;
+        Ok(Self { rays: SingleRays { geometry, name }, far, bvh, way, options })
+    }
+
+    fn answer(&self, receivers: &[Receiver], open: &mut [f32]) -> Result<(), MaskError> {
+        let (bvh, options, outputs) = (self.bvh, &self.options, Outputs::new(open));
+        match &self.way {
+            Way::Tables(tables) => tables.answer_receivers(bvh, receivers, options, outputs, &mut |_| true),
+            Way::Prefiltered(pattern, near) => {
+                let (best, far) = (BackEnd::best(), self.far.as_ref().expect("made with the way"));
+                coarse::answer_receivers(
+                    bvh,
+                    far,
+                    *near,
+                    pattern,
+                    receivers,
+                    options,
+                    best,
+                    outputs,
+                    &mut |_| true,
+                )
+            }
+            Way::Exact(pattern) if self.rays.geometry.is_opaque() => {
+                let best = BackEnd::best();
+                exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, &mut |_| true)
+            }
+            Way::Exact(pattern) => {
+                let (best, depth) = (BackEnd::best(), |prim| self.rays.geometry.flat_depth(prim));
+                exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, &mut |_| true)
+            }
+        }
     }
 }
 
 impl Method for Masks<'_> {
     fn name(&self) -> &'static str {
-        self.exact.name
+        self.rays.name
     }
 
     fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
-        self.exact.transmittances(rays, passed, counters);
+        self.rays.transmittances(rays, passed, counters);
     }
 
-    fn openness(&self, origin: Vec3, normal: Vec3, seed: u32) -> Option<f32> {
-        let receiver = Receiver::new(0, origin.to_array(), normal.to_array(), seed).ok()?;
-        self.tables.ao(self.bvh, &receiver, &self.options).ok()
+    fn opennesses(&self, receivers: &[Receiver], open: &mut [f32]) -> bool {
+        // Options and lengths were checked; nobody cancels.
+        self.answer(receivers, open).is_ok()
     }
+}
+
+/// Whether masks can have so many rays.
+pub(crate) fn mask_rays(rays: u32) -> bool {
+    (32..=Pattern::MAX_RAYS).contains(&rays) && rays.is_multiple_of(32)
 }
 
 /// What ambient rays of a scene have in common.
@@ -169,6 +236,8 @@ pub struct SkyRays {
     pub seed: u32,
 }
 
+const MASK: &str = "mask";
+const MASK_PREFILTER: &str = "mask-prefilter";
 const MASK_TABLE: &str = "mask-table";
 /// Rasterization answers whole images before pixels are shaded (`raster_sky.rs`).
 pub(crate) const MASK_RASTER: &str = "mask-raster";
@@ -188,7 +257,7 @@ pub const SHADOW_METHODS: &[&str] = &[
     PREFILTER,
 ];
 /// Names of the ambient occlusion methods, `auto` first.
-pub const AO_METHODS: &[&str] = &["auto", "rays", MASK_TABLE, MASK_RASTER, PREFILTER];
+pub const AO_METHODS: &[&str] = &["auto", "rays", MASK, MASK_PREFILTER, MASK_TABLE, MASK_RASTER, PREFILTER];
 
 /// Checks the names of both methods, before anything is built.
 ///
@@ -227,14 +296,26 @@ pub fn shadow_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a
 /// The ambient occlusion method called `name`, for a scene with the sky `sky` if it has one.
 ///
 /// # Errors
-/// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`]; for `mask-table` [`RenderError::MaskGeometry`] and [`RenderError::Mask`].
+/// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`]; for methods with masks [`RenderError::MaskGeometry`]
+/// and [`RenderError::Mask`].
 pub fn ao_method<'a>(
     name: &str,
     geometry: &'a Geometry,
     sky: Option<&SkyRays>,
 ) -> Result<Choice<'a>, RenderError> {
-    if let (MASK_TABLE, Some(sky)) = (name, sky) {
-        return Ok(Choice { method: Box::new(Masks::new(geometry, sky)?), reason: "asked for" });
+    if let Some(sky) = sky {
+        let (method, reason) = match name {
+            MASK => (MASK, "asked for"),
+            MASK_TABLE => (MASK_TABLE, "asked for; approximate"),
+            MASK_PREFILTER => (MASK_PREFILTER, "asked for; approximate"),
+            "auto" if mask_rays(sky.samples) && geometry.flat().is_some() => {
+                (MASK, "exact, and faster than single rays")
+            }
+            _ => ("", ""),
+        };
+        if !method.is_empty() {
+            return Ok(Choice { method: Box::new(Masks::new(method, geometry, sky)?), reason });
+        }
     }
     if name == MASK_RASTER {
         return Ok(Choice {
@@ -243,7 +324,7 @@ pub fn ao_method<'a>(
         });
     }
     // Without a sky nothing is asked.
-    let name = if name == MASK_TABLE { AO_METHODS[1] } else { name };
+    let name = if [MASK, MASK_PREFILTER, MASK_TABLE].contains(&name) { AO_METHODS[1] } else { name };
     choose(name, "ambient occlusion", AO_METHODS, geometry)
 }
 
@@ -260,7 +341,8 @@ fn choose<'a>(
         return Ok(Choice { method, reason: "asked for; approximate" });
     }
     let reason = match name {
-        "auto" => "exact rays serve every scene",
+        "auto" if purpose == "shadow" => "exact rays serve every scene",
+        "auto" => "exact; masks need 32 to 1024 samples, a multiple of 32, and instances in one mesh",
         _ if name == exact => "asked for",
         _ => return Err(RenderError::Method { name: name.into(), purpose, known }),
     };

@@ -4,7 +4,7 @@ use crate::{
     RenderError,
     geometry::Geometry,
     integrator::{Integrator, Scratch},
-    method::SkyRays,
+    method::{MASK_RASTER, SkyRays},
 };
 use rayon::prelude::*;
 use umbrage_aomask::{
@@ -26,10 +26,9 @@ pub(crate) fn openness(
     sky: &SkyRays,
     [width, height]: [u32; 2],
 ) -> Result<Vec<Vec<f32>>, RenderError> {
-    let (_, mesh) = geometry.flat_opaque().ok_or(RenderError::MaskGeometry)?;
+    let (_, mesh) = geometry.flat_opaque().ok_or(RenderError::MaskGeometry(MASK_RASTER))?;
     let camera = integrator.camera.raster(width, height).ok_or(RenderError::RasterLens)?;
     let pattern = PatternOptions::default()
-        .with_jitter(0.125, 0.2)
         .with_rays(sky.samples)
         .with_falloff(sky.falloff.clone())
         .with_seed(sky.seed);

@@ -144,10 +144,11 @@ pub fn render(
         progress.check()?;
         let tile = grid.tile(index);
         let mut scratch = Scratch::default();
-        let pixels: Vec<Pixel> = (tile.y..tile.y_end)
-            .flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y)))
-            .map(|(x, y)| integrator.pixel(x, y, &mut scratch))
-            .collect();
+        let places: Vec<(u32, u32)> =
+            (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y))).collect();
+        integrator.open_pixels(&places, &mut scratch);
+        let pixels: Vec<Pixel> =
+            places.into_iter().map(|(x, y)| integrator.pixel(x, y, &mut scratch)).collect();
         target.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).put(&tile, &pixels, &scratch);
         progress.advance(1)
     })?;

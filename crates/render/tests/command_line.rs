@@ -141,6 +141,27 @@ fn the_sky_by_masks_looks_like_the_sky_by_rays() {
     let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
     let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
     assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
+    // Exact masks are what `auto` takes where it can.
+    folder.ok("render many.toml -o exact.exr --ao mask --threads 2");
+    folder.ok("render many.toml -o auto.exr --stats auto.json");
+    assert_eq!(folder.bytes("exact.exr"), folder.bytes("auto.exr"));
+    for i in 1..=2 {
+        folder.ok(&format!("render many.toml -o e{i}.exr --ao mask --shard {i}/2"));
+    }
+    folder.ok("merge joined-exact.exr e1.exr e2.exr");
+    assert_eq!(folder.bytes("exact.exr"), folder.bytes("joined-exact.exr"));
+    let stats: serde_json::Value = serde_json::from_slice(&folder.bytes("auto.json")).unwrap();
+    assert_eq!(stats["ao"]["method"], "mask");
+    let comparison = folder.ok("compare rays.exr exact.exr --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
+    assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
+    // Near by masks, far by prefiltered nodes.
+    folder.ok("render many.toml -o far.exr --ao mask-prefilter");
+    let comparison = folder.ok("compare exact.exr far.exr --json");
+    let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
+    let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
+    assert!(rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
     // By rasterization, as a whole and in parts.
     folder.ok("render many.toml -o raster.exr --ao mask-raster");
     folder.ok("render many.toml -o part1.exr --ao mask-raster --shard 1/2");
@@ -238,17 +259,37 @@ fn masks_bake_given_points_and_write_down_their_rays() {
     let points = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
         property float nx\nproperty float ny\nproperty float nz\nend_header\n0.2 0.2 -0.5 0 0 1\n5 5 5 0 1 0\n";
     fs::write(folder.path("points.ply"), points).unwrap();
-    let bake = "bake mesh.obj --points points.ply --method mask-table";
-    folder.ok(&format!("{bake} -o ao.ply --rays 64 --radius 2 --dump-rays rays.bin --stats stats.json"));
+    let bake = "bake mesh.obj --points points.ply --method mask";
+    folder.ok(&format!(
+        "{bake} -o ao.ply --rays 64 --radius 2 --dump-rays rays.bin --bent-normals --stats stats.json"
+    ));
+    let header = folder.bytes("ao.ply");
+    assert!(String::from_utf8_lossy(&header).contains("property float bent_y"));
     let values = ao(&folder.path("ao.ply"));
     assert!(values[0] < 0.9 && values[1] == 1.0, "{values:?}");
     assert_eq!(folder.bytes("rays.bin").len(), 2 * 64 * 36);
     let blocked: u32 = folder.bytes("rays.bin").chunks(36).map(|ray| u32::from(ray[32])).sum();
     assert_eq!(values[0], (64 - blocked) as f32 / 64.0);
     let stats: serde_json::Value = serde_json::from_slice(&folder.bytes("stats.json")).unwrap();
-    assert_eq!(stats["method"], "mask-table");
+    assert_eq!(stats["method"], "mask");
+    folder.ok(&format!("{bake}-table -o table.ply --rays 64 --radius 2"));
+    assert!((ao(&folder.path("table.ply"))[0] - values[0]).abs() < 0.1);
+    folder.ok(&format!("{bake}-prefilter -o far.ply --rays 64 --radius 2"));
+    assert!((ao(&folder.path("far.ply"))[0] - values[0]).abs() < 0.1);
+    folder.ok(&format!("{bake} -o few.ply --rays 1024 --radius 2 --target-error 0.01"));
+    assert!((ao(&folder.path("few.ply"))[0] - values[0]).abs() < 0.05);
+    folder.fails(&format!("{bake} -o x.ply --target-error 0"), &["target error"]);
+    folder.fails(&format!("{bake} -o x.ply --target-error 0.1 --bent-normals"), &["target error", "mask"]);
+    folder.fails("bake mesh.obj -o x.ply --method rays --target-error 0.1", &["target error", "mask"]);
+    folder.ok("bake mesh.obj -o bent.exr --per texel --size 8 --rays 32 --bent-normals");
+    // Other numbers of rays are left to single rays.
+    folder.ok("bake mesh.obj -o rays.ply --points points.ply --rays 33 --stats rays.json");
+    let stats: serde_json::Value = serde_json::from_slice(&folder.bytes("rays.json")).unwrap();
+    assert_eq!(stats["method"], "rays");
+    folder.fails(&format!("{bake} -o x.ply --bent-normals --shard 1/2"), &["--bent-normals", "--shard"]);
     folder.fails(&format!("{bake} -o x.ply --rays 33"), &["33 rays", "multiple of 32"]);
-    folder.fails("bake mesh.obj -o x.ply --dump-rays rays2.bin", &["--dump-rays", "mask-table"]);
+    folder
+        .fails("bake mesh.obj -o x.ply --method rays --dump-rays rays2.bin", &["--dump-rays", "mask-table"]);
 }
 
 /// Catmull-Clark surfaces: finer pictures have more triangles, shards make the same picture, bakes have vertices on the surface.

@@ -4,10 +4,10 @@
 //! direction, eight and thirty-two of them best of all: the answers are the same in any order, but a good one is faster.
 
 use super::{
-    TURNS,
-    goal::{Blocked, Dimmed, any_hit},
+    Source, TURNS,
+    goal::{Blocked, Dimmed, Hit, Nearest},
     kernel::{self, Hull, Job, Kernel},
-    rays::{Cone, GROUP, RAYS, unit},
+    rays::{Cone, GROUP, GROUPS, RAYS, unit},
     take_turns,
     walk::{Goal, Walk},
 };
@@ -46,19 +46,23 @@ pub fn any_hits(
 /// [`OpticalDepth::OPAQUE`] as soon as nothing gets through. Rays as for [`any_hits`].
 ///
 /// # Errors
-/// As for [`any_hits`].
+/// As for [`any_hits`]; [`MaskError::Unsupported`] for [`Sides::FrontFirst`].
 pub fn transmittances(
     bvh: &Bvh,
     rays: &[Ray],
     per_fan: usize,
+    sides: Sides,
     depth_of: impl Fn(u32) -> OpticalDepth + Sync,
     back_end: BackEnd,
     sums: &mut [OpticalDepth],
 ) -> Result<(), MaskError> {
     check(rays, per_fan, back_end, sums.len())?;
+    if sides == Sides::FrontFirst {
+        return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
+    }
     let depth_of = &depth_of;
     let job = |walks: &mut Box<[Walk]>, (rays, sums): (&[Ray], &mut [OpticalDepth])| {
-        kernel::run(back_end, Transmittances { bvh, rays, per_fan, depth_of, sums, walks });
+        kernel::run(back_end, Transmittances { bvh, rays, per_fan, sides, depth_of, sums, walks });
     };
     in_blocks(rays, per_fan, sums, job);
     Ok(())
@@ -115,39 +119,49 @@ fn hull(rays: &[Ray]) -> Hull {
     Hull::new(reach, up.to_array(), cone.axis.to_array(), cone.angle)
 }
 
-/// Lets all rays walk; `end` is told the first ray of each walk that has ended.
-#[inline(always)]
-fn walk_all<K: Kernel>(
-    kernel: K,
-    bvh: &Bvh,
-    rays: &[Ray],
+/// Fan by fan; writes what is blocked.
+struct ByFan<'a, F> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
     per_fan: usize,
-    walks: &mut [Walk],
-    goal: &mut impl Goal,
-    mut end: impl FnMut(&Walk, &[Ray]),
-) {
-    let mut next = 0;
-    let start = |walk: &mut Walk| {
-        if next == rays.len() {
-            return false;
-        }
-        let len = (per_fan - next % per_fan).min(RAYS);
-        let part = &rays[next..next + len];
-        walk.part = None;
-        walk.rays.load(part);
-        walk.start(next, part[0].origin.to_array(), hull(part));
-        next += len;
-        true
-    };
-    take_turns(kernel, bvh, walks, goal, start, |walk| {
-        let len = (per_fan - walk.item % per_fan).min(RAYS);
-        end(walk, &rays[walk.item..walk.item + len]);
-    });
+    next: usize,
+    /// Told the number of each blocked ray.
+    blocked: F,
 }
 
-/// Whether ray number `i` of `walk` could walk.
-fn walked(walk: &Walk, i: usize) -> bool {
-    walk.rays.closed[i / GROUP] >> (i % GROUP) & 1 == 0
+impl<G: Goal, F: FnMut(usize)> Source<G> for ByFan<'_, F> {
+    #[inline(always)]
+    fn start(&mut self, walk: &mut Walk) -> bool {
+        if self.next == self.rays.len() {
+            return false;
+        }
+        let part = &self.rays[self.next..self.next + self.len(self.next)];
+        walk.part = None;
+        walk.rays.load(part);
+        walk.start(self.next, part[0].origin.to_array(), hull(part));
+        self.next += part.len();
+        true
+    }
+
+    #[inline(always)]
+    fn end(&mut self, walk: &Walk, goal: &mut G) {
+        let first = walk.item;
+        for i in 0..self.len(first) {
+            let bit = |of: &[u8; GROUPS]| of[i / GROUP] >> (i % GROUP) & 1 == 1;
+            let walked = !bit(&walk.rays.closed);
+            if if walked { bit(&walk.done) } else { goal.alone(self.bvh, first + i, &self.rays[first + i]) } {
+                (self.blocked)(first + i);
+            }
+        }
+    }
+}
+
+impl<F> ByFan<'_, F> {
+    /// Rays of the walk whose first ray is `first`.
+    #[inline(always)]
+    fn len(&self, first: usize) -> usize {
+        (self.per_fan - first % self.per_fan).min(RAYS)
+    }
 }
 
 struct AnyHits<'a> {
@@ -165,13 +179,16 @@ impl Job for AnyHits<'_> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
         let Self { bvh, rays, per_fan, sides, hits, walks } = self;
-        let mut goal = Blocked { sides };
-        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |walk, rays| {
-            for (i, ray) in rays.iter().enumerate() {
-                let done = walk.done[i / GROUP] >> (i % GROUP) & 1 == 1;
-                hits[walk.item + i] = if walked(walk, i) { done } else { any_hit(bvh, ray, sides) };
-            }
-        });
+        if sides == Sides::FrontFirst {
+            let mut nearest = vec![Hit::NONE; rays.len()];
+            let mut source = ByFan { bvh, rays, per_fan, next: 0, blocked: |_| {} };
+            take_turns(kernel, bvh, walks, &mut Nearest { sides, hits: &mut nearest }, &mut source);
+            hits.iter_mut().zip(nearest).for_each(|(blocked, hit)| *blocked = hit.blocks(sides));
+            return;
+        }
+        hits.fill(false);
+        let mut source = ByFan { bvh, rays, per_fan, next: 0, blocked: |ray: usize| hits[ray] = true };
+        take_turns(kernel, bvh, walks, &mut Blocked { sides }, &mut source);
     }
 }
 
@@ -179,6 +196,7 @@ struct Transmittances<'a, F> {
     bvh: &'a Bvh,
     rays: &'a [Ray],
     per_fan: usize,
+    sides: Sides,
     depth_of: &'a F,
     sums: &'a mut [OpticalDepth],
     walks: &'a mut [Walk],
@@ -189,18 +207,13 @@ impl<F: Fn(u32) -> OpticalDepth> Job for Transmittances<'_, F> {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let Self { bvh, rays, per_fan, depth_of, sums, walks } = self;
+        let Self { bvh, rays, per_fan, sides, depth_of, sums, walks } = self;
         sums.fill(OpticalDepth::CLEAR);
-        let mut alone = Vec::new();
-        let mut goal = Dimmed { sums, depth_of };
-        walk_all(kernel, bvh, rays, per_fan, walks, &mut goal, |walk, rays| {
-            alone.extend((0..rays.len()).filter(|&i| !walked(walk, i)).map(|i| walk.item + i));
-        });
+        let mut goal = Dimmed { sides, sums, depth_of };
+        let mut source = ByFan { bvh, rays, per_fan, next: 0, blocked: |_| {} };
+        take_turns(kernel, bvh, walks, &mut goal, &mut source);
         for sum in sums.iter_mut().filter(|sum| sum.is_opaque()) {
             *sum = OpticalDepth::OPAQUE;
-        }
-        for i in alone {
-            sums[i] = bvh.transmittance(&rays[i], depth_of);
         }
     }
 }

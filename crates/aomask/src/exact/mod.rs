@@ -6,6 +6,7 @@
 //! Exact: ray `i` of a receiver is blocked if and only if [`umbrage_geom::segment_hits_triangle`] holds for the ray of
 //! [`Pattern::rays_of`] and some triangle.
 
+pub mod adaptive;
 pub mod fans;
 mod goal;
 mod kernel;
@@ -13,13 +14,15 @@ mod rays;
 mod walk;
 
 use crate::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver,
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
     drive::{self, Engine},
+    gather::Answers,
 };
-use goal::{Blocked, any_hit};
+use goal::{Blocked, Dimmed, Hit, Nearest};
 use kernel::{Hull, Job, Kernel};
 use rays::{GROUP, Part};
 use umbrage_accel::Bvh;
+use umbrage_geom::OpticalDepth;
 use walk::{Goal, Walk};
 
 /// Walks that take turns, so that one works while others wait for memory.
@@ -30,8 +33,9 @@ const TURNS: usize = 8;
 /// that end at exactly 1, from any thread, and returns `false` to cancel.
 ///
 /// # Errors
-/// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`],
-/// [`MaskError::Normal`], [`MaskError::BackEnd`], [`MaskError::Cancelled`]. The outputs are as they were then.
+/// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Sectors`],
+/// [`MaskError::Point`], [`MaskError::Normal`], [`MaskError::BackEnd`], [`MaskError::Cancelled`]. The outputs are as they
+/// were then.
 #[allow(clippy::too_many_arguments)] // what there is to say
 pub fn answer(
     bvh: &Bvh,
@@ -43,104 +47,234 @@ pub fn answer(
     outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), MaskError> {
-    if !back_end.is_supported() {
-        return Err(MaskError::BackEnd(back_end));
-    }
-    options.validate(pattern)?;
     let receivers = drive::receivers(points, normals, options.seed)?;
-    let parts = rays::parts(pattern, options.radius);
-    let engine = Masks { bvh, pattern, options, back_end, parts };
-    drive::run(&engine, pattern, options, &receivers, outputs, progress)
+    answer_receivers(bvh, pattern, &receivers, options, back_end, outputs, progress)
 }
 
-/// What all receivers of a call share.
-struct Masks<'a> {
-    bvh: &'a Bvh,
-    pattern: &'a Pattern,
-    options: &'a MaskOptions,
+/// [`answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
+///
+/// # Errors
+/// As for [`answer`], but for points and normals.
+pub fn answer_receivers(
+    bvh: &Bvh,
+    pattern: &Pattern,
+    receivers: &[Receiver],
+    options: &MaskOptions,
     back_end: BackEnd,
+    outputs: Outputs<'_>,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), MaskError> {
+    let engine = Masks::new(bvh, pattern, options, f32::INFINITY, back_end, &outputs)?;
+    drive::run(&engine, pattern, options, receivers, outputs, progress)
+}
+
+/// [`answer_receivers`] among semi-transparent triangles: a ray passes the product of what all triangles that it hits let
+/// through, each counted once, `depth_of(index of the triangle)`. `ao`, bent normals and sectors are means over the rays of
+/// what passes; masks have the rays that nothing passes; distances are those of the nearest hits, however transparent.
+///
+/// # Errors
+/// As for [`answer_receivers`]; [`MaskError::Unsupported`] for [`Sides::FrontFirst`].
+#[allow(clippy::too_many_arguments)] // what there is to say
+pub fn transmit(
+    bvh: &Bvh,
+    depth_of: impl Fn(u32) -> OpticalDepth + Sync,
+    pattern: &Pattern,
+    receivers: &[Receiver],
+    options: &MaskOptions,
+    back_end: BackEnd,
+    outputs: Outputs<'_>,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), MaskError> {
+    if options.sides == Sides::FrontFirst {
+        return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
+    }
+    let masks = Masks::new(bvh, pattern, options, f32::INFINITY, back_end, &outputs)?;
+    drive::run(&Veils { masks, depth_of }, pattern, options, receivers, outputs, progress)
+}
+
+/// What a thread keeps.
+pub(crate) type Walks = Box<[Walk]>;
+
+/// What all receivers of a call share.
+pub(crate) struct Masks<'a> {
+    bvh: &'a Bvh,
+    pub(crate) pattern: &'a Pattern,
+    pub(crate) options: &'a MaskOptions,
+    back_end: BackEnd,
+    /// Whether distances are asked for.
+    distances: bool,
     parts: Vec<Part>,
 }
 
-impl Engine for Masks<'_> {
-    type Scratch = Box<[Walk]>;
+impl<'a> Masks<'a> {
+    /// Rays end at `limit` (world units) if they are longer; those that can't walk needn't.
+    pub(crate) fn new(
+        bvh: &'a Bvh,
+        pattern: &'a Pattern,
+        options: &'a MaskOptions,
+        limit: f32,
+        back_end: BackEnd,
+        outputs: &Outputs<'_>,
+    ) -> Result<Self, MaskError> {
+        if !back_end.is_supported() {
+            return Err(MaskError::BackEnd(back_end));
+        }
+        options.validate(pattern)?;
+        let distances = outputs.hit_distances.is_some();
+        let parts = rays::parts(pattern, options.radius, limit);
+        Ok(Self { bvh, pattern, options, back_end, distances, parts })
+    }
 
-    fn scratch(&self) -> Box<[Walk]> {
+    fn run(&self, receivers: &[Receiver], goal: &mut impl Goal, out: &mut [u64], walks: &mut [Walk]) {
+        out.fill(0);
+        for part in &self.parts {
+            kernel::run(self.back_end, Run { masks: self, part, receivers, goal, out, walks });
+        }
+    }
+
+    /// Nearest hits, into masks and distances.
+    fn run_nearest(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut [Walk]) {
+        let Answers { masks, distances, .. } = answers;
+        let (rays, words, sides) = (self.pattern.len(), self.pattern.words(), self.options.sides);
+        let mut hits = vec![Hit::NONE; receivers.len() * rays];
+        self.run(receivers, &mut Nearest { sides, hits: &mut hits }, masks, walks);
+        masks.fill(0);
+        distances.clear();
+        for (i, hit) in hits.iter().enumerate() {
+            let blocked = hit.blocks(sides);
+            masks[i / rays * words + i % rays / 64] |= u64::from(blocked) << (i % rays % 64);
+            distances.push(if blocked { hit.t } else { f32::INFINITY });
+        }
+    }
+}
+
+impl Engine for Masks<'_> {
+    type Scratch = Walks;
+
+    fn scratch(&self) -> Walks {
         (0..TURNS).map(|_| Walk::new()).collect()
     }
 
-    fn masks(&self, receivers: &[Receiver], masks: &mut [u64], walks: &mut Box<[Walk]>) {
-        for (p, part) in self.parts.iter().enumerate() {
-            kernel::run(
-                self.back_end,
-                Run { masks: self, part, first: p == 0, receivers, out: masks, walks },
-            );
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Walks) {
+        let sides = self.options.sides;
+        if self.distances || sides == Sides::FrontFirst {
+            self.run_nearest(receivers, answers, walks);
+        } else {
+            self.run(receivers, &mut Blocked { sides }, &mut answers.masks, walks);
         }
+    }
+}
+
+/// [`Masks`] among semi-transparent triangles.
+struct Veils<'a, F> {
+    masks: Masks<'a>,
+    depth_of: F,
+}
+
+impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for Veils<'_, F> {
+    type Scratch = Walks;
+
+    fn scratch(&self) -> Walks {
+        self.masks.scratch()
+    }
+
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, walks: &mut Walks) {
+        let Self { masks, depth_of } = self;
+        if masks.distances {
+            masks.run_nearest(receivers, answers, walks);
+        }
+        let mut sums = vec![OpticalDepth::CLEAR; receivers.len() * masks.pattern.len()];
+        let mut goal = Dimmed { sides: masks.options.sides, sums: &mut sums, depth_of };
+        masks.run(receivers, &mut goal, &mut answers.masks, walks);
+        answers.passed.clear();
+        answers.passed.extend(sums.into_iter().map(OpticalDepth::transmittance));
     }
 }
 
 /// One part of the rays of a block of receivers.
-struct Run<'a> {
+struct Run<'a, G> {
     masks: &'a Masks<'a>,
     part: &'a Part,
-    /// Whether the output has to be cleared.
-    first: bool,
     receivers: &'a [Receiver],
+    goal: &'a mut G,
     out: &'a mut [u64],
     walks: &'a mut [Walk],
 }
 
-impl Job for Run<'_> {
+impl<G: Goal> Job for Run<'_, G> {
     type Output = ();
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
-        let Self { masks: &Masks { bvh, pattern, options, .. }, part, first, receivers, out, walks } = self;
-        let words = pattern.words();
-        if first {
-            out.fill(0);
-        }
+        let Self { masks, part, receivers, goal, out, walks } = self;
         for walk in walks.iter_mut().filter(|walk| walk.part != Some(part.first)) {
             part.begin(&mut walk.rays);
             walk.part = Some(part.first);
         }
-        let mut goal = Blocked { sides: options.sides };
-        let mut next = 0;
-        let start = |walk: &mut Walk| {
-            let Some(receiver) = receivers.get(next) else { return false };
-            let frame = pattern.frame_of(receiver);
-            part.turn(&frame, &mut walk.rays);
-            let axis = frame.world_from_local(part.cone.axis).to_array();
-            let hull = Hull::new(part.reach, frame.normal.to_array(), axis, part.cone.angle);
-            walk.start(next, receiver.point().to_array(), hull);
-            next += 1;
-            true
-        };
-        let end = |walk: &Walk| {
-            let out = &mut out[walk.item * words..][..words];
-            write(walk, part, out);
-            alone(bvh, pattern, options, part, &receivers[walk.item], walk, out);
-        };
-        take_turns(kernel, bvh, walks, &mut goal, start, end);
+        let mut source = ByReceiver { masks, part, receivers, next: 0, out };
+        take_turns(kernel, masks.bvh, walks, goal, &mut source);
     }
 }
 
-/// Lets walks take turns, one step each, while `start` puts new rays into those that have ended. `start` returns false when
-/// there are no more; `end` sees each walk that has ended.
+/// Receiver by receiver.
+struct ByReceiver<'a> {
+    masks: &'a Masks<'a>,
+    part: &'a Part,
+    receivers: &'a [Receiver],
+    next: usize,
+    out: &'a mut [u64],
+}
+
+impl<G: Goal> Source<G> for ByReceiver<'_> {
+    #[inline(always)]
+    fn start(&mut self, walk: &mut Walk) -> bool {
+        let Self { masks: Masks { pattern, .. }, part, receivers, next, .. } = self;
+        let Some(receiver) = receivers.get(*next) else { return false };
+        if G::SHRINKS {
+            part.begin(&mut walk.rays);
+        }
+        let frame = pattern.frame_of(receiver);
+        part.turn(&frame, &mut walk.rays);
+        let axis = frame.world_from_local(part.cone.axis).to_array();
+        let hull = Hull::new(part.reach, frame.normal.to_array(), axis, part.cone.angle);
+        walk.start(*next * pattern.len() + part.first, receiver.point().to_array(), hull);
+        *next += 1;
+        true
+    }
+
+    #[inline(always)]
+    fn end(&mut self, walk: &Walk, goal: &mut G) {
+        let Self { masks: Masks { bvh, pattern, options, .. }, part, receivers, out, .. } = self;
+        let (words, receiver) = (pattern.words(), walk.item / pattern.len());
+        let out = &mut out[receiver * words..][..words];
+        write(walk, part, out);
+        alone(bvh, pattern, options, part, &receivers[receiver], walk, goal, out);
+    }
+}
+
+/// Where walks get their rays. A trait, since closures would not be compiled with the caller's instructions.
+trait Source<G> {
+    /// Puts new rays into a walk; false if there are no more.
+    fn start(&mut self, walk: &mut Walk) -> bool;
+
+    /// Sees a walk that has ended.
+    fn end(&mut self, walk: &Walk, goal: &mut G);
+}
+
+/// Lets walks take turns, one step each, while `source` puts new rays into those that have ended.
 #[inline(always)]
-fn take_turns<K: Kernel>(
+fn take_turns<K: Kernel, G: Goal>(
     kernel: K,
     bvh: &Bvh,
     walks: &mut [Walk],
-    goal: &mut impl Goal,
-    mut start: impl FnMut(&mut Walk) -> bool,
-    mut end: impl FnMut(&Walk),
+    goal: &mut G,
+    source: &mut impl Source<G>,
 ) {
     let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
     let (mut busy, mut more) = (0, true);
     loop {
         while busy < TURNS && more {
-            more = start(&mut walks[turns[busy]]);
+            more = source.start(&mut walks[turns[busy]]);
             busy += usize::from(more);
         }
         if busy == 0 {
@@ -152,7 +286,7 @@ fn take_turns<K: Kernel>(
             if walk.step(kernel, bvh, goal) {
                 turn += 1;
             } else {
-                end(walk);
+                source.end(walk, goal);
                 busy -= 1;
                 turns.swap(turn, busy);
             }
@@ -172,6 +306,7 @@ fn write(walk: &Walk, part: &Part, out: &mut [u64]) {
 
 /// Answers rays that could not walk.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // the state of one call
 fn alone(
     bvh: &Bvh,
     pattern: &Pattern,
@@ -179,6 +314,7 @@ fn alone(
     part: &Part,
     receiver: &Receiver,
     walk: &Walk,
+    goal: &mut impl Goal,
     out: &mut [u64],
 ) {
     if walk.rays.closed[..part.len / GROUP].iter().all(|&closed| closed == 0) {
@@ -187,7 +323,7 @@ fn alone(
     for (i, ray) in pattern.rays_of(receiver, options.radius).enumerate().skip(part.first).take(part.len) {
         let at = i - part.first;
         if walk.rays.closed[at / GROUP] >> (at % GROUP) & 1 == 1 {
-            out[i / 64] |= u64::from(any_hit(bvh, &ray, options.sides)) << (i % 64);
+            out[i / 64] |= u64::from(goal.alone(bvh, walk.item + at, &ray)) << (i % 64);
         }
     }
 }

@@ -26,6 +26,9 @@ const SLACK: f32 = 4e-6;
 /// Chord from which a cone is no longer told from a half-space: about 83 degrees.
 const WIDE: f32 = 1.33;
 
+/// Components of unit vectors as small as this have no use for a group: their reciprocals say too little.
+const STEEP: f32 = 1e-4;
+
 /// Smallest component of a scaled direction, but 0, whose reciprocal is safe: `2^-79`.
 const SMALLEST: f32 = 1.0 / (1u128 << 79) as f32;
 
@@ -49,6 +52,9 @@ pub(crate) struct RaySet {
     pub(crate) sin: [f32; GROUPS],
     /// At least the distance of any unit direction of the group from its axis.
     pub(crate) chord: [f32; GROUPS],
+    /// By axis: the reciprocals of the smallest and largest component of unit directions of each group, or more; NaN where
+    /// their signs differ.
+    pub(crate) ends: [[[f32; GROUPS]; 2]; 3],
     /// Groups in use.
     pub(crate) groups: usize,
     /// Bits without a ray, or with a ray that no walk may answer.
@@ -67,6 +73,7 @@ impl RaySet {
             cos: groups,
             sin: groups,
             chord: groups,
+            ends: [[groups; 2]; 3],
             groups: 0,
             closed: [u8::MAX; GROUPS],
         }
@@ -85,6 +92,12 @@ impl RaySet {
         Ray { origin: origin.into(), direction, tnear: 0.0, tfar: self.far[ray] / self.unscale[ray] }
     }
 
+    /// Ends ray number `ray` soon after `t`, in units of its direction before scaling.
+    pub(crate) fn shorten(&mut self, ray: usize, t: f32) {
+        let end = t * self.unscale[ray] * (1.0 + 1e-5) + f32::MIN_POSITIVE;
+        self.far[ray] = self.far[ray].min(end);
+    }
+
     /// The groups with an open ray, a bit each.
     #[inline(always)]
     pub(crate) fn open(&self) -> u32 {
@@ -98,21 +111,21 @@ impl RaySet {
     /// Reciprocals of the first directions; whether some component is so small that its ray can't walk.
     #[inline(always)]
     fn invert(&mut self) -> bool {
-        let mut small = false;
+        // By lanes, so that it is SIMD.
+        let mut least = [1f32; GROUP];
         for axis in 0..3 {
             let (row, inverse) = (&self.direction[axis], &mut self.inverse[axis]);
-            for at in (0..self.groups * GROUP).step_by(GROUP) {
-                let mut smallest = 1f32;
-                for i in at..at + GROUP {
-                    let x = row[i].abs();
-                    inverse[i] = 1.0 / row[i];
+            for g in 0..self.groups.min(GROUPS) {
+                let at = g * GROUP;
+                for i in 0..GROUP {
+                    let x = row[at + i].abs();
+                    inverse[at + i] = 1.0 / row[at + i];
                     let x = if x == 0.0 { 1.0 } else { x };
-                    smallest = if x < smallest { x } else { smallest };
+                    least[i] = if x < least[i] { x } else { least[i] };
                 }
-                small |= smallest < SMALLEST;
             }
         }
-        small
+        least.into_iter().any(|x| x < SMALLEST)
     }
 
     /// Closes rays that can't walk.
@@ -157,6 +170,21 @@ impl RaySet {
                 let closed = self.closed[g];
                 let open = group.iter().enumerate().filter(|&(i, _)| closed >> i & 1 == 0);
                 self.set_cone(g, &Cone::around(open.map(|(_, ray)| unit(ray.direction))));
+            }
+            self.set_ends();
+        }
+    }
+
+    /// Sets [`Self::ends`] from the cones.
+    #[inline(always)]
+    fn set_ends(&mut self) {
+        for axis in 0..3 {
+            let [low, high] = &mut self.ends[axis];
+            for g in 0..GROUPS {
+                let (middle, reach) = (self.axis[axis][g], self.chord[g]);
+                let one_sign = middle.abs() > reach + STEEP;
+                low[g] = if one_sign { 1.0 / (middle - reach) } else { f32::NAN };
+                high[g] = if one_sign { 1.0 / (middle + reach) } else { f32::NAN };
             }
         }
     }
@@ -217,25 +245,27 @@ pub(crate) struct Part {
     pub(crate) cone: Cone,
 }
 
-/// The runs that a pattern is cut into: halves of halves, as it was ordered.
-pub(crate) fn parts(pattern: &Pattern, radius: f32) -> Vec<Part> {
+/// The runs that a pattern is cut into: halves of halves, as it was ordered. Rays are no longer than `limit`, world units.
+pub(crate) fn parts(pattern: &Pattern, radius: f32, limit: f32) -> Vec<Part> {
     let mut parts = Vec::new();
-    cut(pattern, radius, 0, pattern.len(), &mut parts);
+    let lengths: Vec<f32> = pattern.lengths().iter().map(|length| (radius * length).min(limit)).collect();
+    cut(pattern, &lengths, 0, pattern.len(), &mut parts);
     parts
 }
 
-fn cut(pattern: &Pattern, radius: f32, first: usize, len: usize, parts: &mut Vec<Part>) {
+fn cut(pattern: &Pattern, lengths: &[f32], first: usize, len: usize, parts: &mut Vec<Part>) {
     if len > RAYS {
         let half = Pattern::half(len);
-        cut(pattern, radius, first, half, parts);
-        cut(pattern, radius, first + half, len - half, parts);
+        cut(pattern, lengths, first, half, parts);
+        cut(pattern, lengths, first + half, len - half, parts);
     } else {
-        parts.push(Part::new(pattern, radius, first, len));
+        parts.push(Part::new(pattern, lengths, first, len));
     }
 }
 
 impl Part {
-    fn new(pattern: &Pattern, radius: f32, first: usize, len: usize) -> Self {
+    /// `lengths` of the pattern's rays, world units.
+    fn new(pattern: &Pattern, lengths: &[f32], first: usize, len: usize) -> Self {
         let directions = &pattern.directions()[first..first + len];
         let mut part = Self {
             first,
@@ -247,11 +277,10 @@ impl Part {
             cone: Cone::around(directions.iter().map(|d| d.normalize())),
         };
         part.set.groups = len / GROUP;
-        for (i, (d, length)) in directions.iter().zip(&pattern.lengths()[first..]).enumerate() {
+        for (i, (d, &tfar)) in directions.iter().zip(&lengths[first..]).enumerate() {
             for axis in 0..3 {
                 part.local[axis][i] = d[axis];
             }
-            let tfar = radius * length;
             part.reach = part.reach.max(tfar);
             part.set.far[i] = tfar * 2.0;
             let walks = part.set.far[i] >= f32::MIN_POSITIVE;
@@ -267,7 +296,11 @@ impl Part {
 
     /// What does not change from receiver to receiver.
     pub(crate) fn begin(&self, rays: &mut RaySet) {
-        rays.clone_from(&self.set);
+        let (set, n) = (&self.set, self.len);
+        rays.far[..n].copy_from_slice(&set.far[..n]);
+        rays.unscale[..n].copy_from_slice(&set.unscale[..n]);
+        (rays.cos, rays.sin, rays.chord) = (set.cos, set.sin, set.chord);
+        (rays.groups, rays.closed) = (set.groups, set.closed);
     }
 
     /// Turns the directions to `frame`; `rays` must have begun with this part. The arithmetic is that of
@@ -279,14 +312,17 @@ impl Part {
         for axis in 0..3 {
             let (t, b, n) = (tangent[axis], bitangent[axis], normal[axis]);
             let row = &mut rays.direction[axis];
-            for i in 0..self.set.groups * GROUP {
-                row[i] = ((t * x[i] + b * y[i]) + n * z[i]) * 0.5;
+            for g in 0..self.set.groups.min(GROUPS) {
+                for i in g * GROUP..(g + 1) * GROUP {
+                    row[i] = ((t * x[i] + b * y[i]) + n * z[i]) * 0.5;
+                }
             }
             let row = &mut rays.axis[axis];
             for (g, x) in row.iter_mut().enumerate() {
                 *x = (t * self.axes[0][g] + b * self.axes[1][g]) + n * self.axes[2][g];
             }
         }
+        rays.set_ends();
         rays.closed = self.set.closed;
         if rays.invert() {
             rays.close_small();

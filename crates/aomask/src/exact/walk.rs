@@ -8,32 +8,44 @@ use super::{
     rays::{GROUP, GROUPS, RaySet},
 };
 use umbrage_accel::{Bvh, View};
-use umbrage_geom::kernel::{BlockMask, TriangleBlock};
+use umbrage_geom::{
+    Ray,
+    kernel::{BlockMask, TriangleBlock},
+};
 
 /// Most groups of an entry that knows single rays.
 pub(crate) const FEW: u32 = 4;
+
+/// Most groups whose rays are tested before they are pushed.
+pub(crate) const MANY: u32 = 12;
 
 /// Fewest rays for which a node is first tested against the hull.
 const WIDE: u32 = 4;
 
 /// What is asked about the rays.
 pub(crate) trait Goal {
+    /// Whether rays get shorter on their way.
+    const SHRINKS: bool;
+
     /// Takes the triangles of `leaf` that the filter found on ray number `ray`. Whether the ray needs no more.
-    fn lanes(&mut self, walk: &Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool;
+    fn lanes(&mut self, walk: &mut Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool;
 
     /// Takes the rays of `group` that the filter found to meet the triangle in `lane` of `leaf`. The rays that need no more.
-    fn rays(&mut self, walk: &Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8;
+    fn rays(&mut self, walk: &mut Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8;
 
     /// Triangles of a leaf that can be skipped, a bit each, by the sides on which the origin is for certain.
     fn skipped(&self, sides: impl FnOnce() -> (u32, u32)) -> u32;
+
+    /// Answers ray number `index` of all walks, which could not walk. Whether it is blocked.
+    fn alone(&mut self, bvh: &Bvh, index: usize, ray: &Ray) -> bool;
 }
 
 /// What a goal may look at.
 pub(crate) struct Ground<'a> {
     pub(crate) bvh: &'a Bvh,
-    pub(crate) rays: &'a RaySet,
+    pub(crate) rays: &'a mut RaySet,
     pub(crate) origin: [f32; 3],
-    /// Number that the walk was started with.
+    /// Number of the walk's first ray among those of all walks.
     pub(crate) item: usize,
 }
 
@@ -52,6 +64,7 @@ pub(crate) struct Walk {
     pub(crate) done: [u8; GROUPS],
     /// Groups with rays that do.
     open: u32,
+    /// See [`Ground::item`].
     pub(crate) item: usize,
     origin: [f32; 3],
     hull: Hull,
@@ -148,38 +161,73 @@ impl Walk {
         if wanted == 0 {
             return;
         }
-        let spheres = kernel.spheres(&rows);
-        wanted &= kernel.ahead(&spheres, &self.hull);
-        while wanted != 0 {
-            // Highest first: the stack is last in, first out, and larger boxes come first.
-            let child = 31 - wanted.leading_zeros() as usize;
-            wanted ^= 1 << child;
-            let groups = kernel.cones(&spheres, child, &self.rays) & live;
-            if groups == 0 {
-                continue;
+        let bottom = self.top;
+        let around = wanted & kernel.around(&rows);
+        wanted &= !around;
+        if wanted != 0 {
+            let spheres = kernel.spheres(&rows);
+            wanted &= kernel.ahead(&spheres, &self.hull);
+            while wanted != 0 {
+                // Highest first: larger boxes come first in a node, and shall be visited first.
+                let child = 31 - wanted.leading_zeros() as usize;
+                wanted ^= 1 << child;
+                let mut groups = kernel.cones(&spheres, child, &self.rays) & live;
+                if groups.count_ones() > FEW {
+                    groups &= kernel.box_groups(&rows, child, &self.rays, &self.hull);
+                }
+                if groups.count_ones() > MANY {
+                    self.push(bottom, node.children()[child], groups, 0, GROUP as u32 * groups.count_ones());
+                } else if groups != 0 {
+                    self.narrow(kernel, &rows, child, node.children()[child], groups, bottom);
+                }
             }
-            // All rays enter a box around the receiver.
-            let around =
-                (0..3).all(|axis| rows.0[2 * axis][child] <= 0.0 && rows.0[2 * axis + 1][child] >= 0.0);
-            if around && groups.count_ones() > FEW {
-                self.push(node.children()[child], groups, 0);
+        }
+        let mut around = around;
+        while around != 0 {
+            let child = 31 - around.leading_zeros() as usize;
+            around ^= 1 << child;
+            if live.count_ones() > FEW {
+                let top = self.top;
+                (self.stack.children[top], self.stack.groups[top], self.stack.rays[top]) =
+                    (node.children()[child], live, 0);
+                self.top += 1;
             } else {
-                self.narrow(kernel, &rows, child, node.children()[child], groups);
+                self.narrow(kernel, &rows, child, node.children()[child], live, bottom);
             }
         }
     }
 
+    /// Pushes an entry among those above `bottom`, the one with most rays on top.
     #[inline(always)]
-    fn push(&mut self, child: u32, groups: u32, rays: u32) {
-        let top = self.top;
-        (self.stack.children[top], self.stack.groups[top], self.stack.rays[top]) = (child, groups, rays);
+    fn push(&mut self, bottom: usize, child: u32, groups: u32, rays: u32, count: u32) {
+        let mut at = self.top;
         self.top += 1;
+        while at > bottom {
+            let below = at - 1;
+            let (groups, rays) = (self.stack.groups[below], self.stack.rays[below]);
+            let others = if rays == 0 { GROUP as u32 * groups.count_ones() } else { rays.count_ones() };
+            if others <= count {
+                break;
+            }
+            (self.stack.children[at], self.stack.groups[at], self.stack.rays[at]) =
+                (self.stack.children[below], groups, rays);
+            at = below;
+        }
+        (self.stack.children[at], self.stack.groups[at], self.stack.rays[at]) = (child, groups, rays);
     }
 
     /// Pushes the child in slot `slot` with those of the `groups` that have a ray that may enter it: as groups if they have
     /// many rays, else as rays, [`FEW`] groups at a time.
     #[inline(always)]
-    fn narrow<K: Kernel>(&mut self, kernel: K, rows: &Rows, slot: usize, child: u32, mut groups: u32) {
+    fn narrow<K: Kernel>(
+        &mut self,
+        kernel: K,
+        rows: &Rows,
+        slot: usize,
+        child: u32,
+        mut groups: u32,
+        bottom: usize,
+    ) {
         let mut entered = [0; GROUPS];
         let (mut kept, mut count) = (0u32, 0);
         while groups != 0 {
@@ -191,7 +239,7 @@ impl Walk {
         }
         // About where testing rays one by one gets cheaper than a test of each group and child.
         if kept.count_ones() > FEW && count > 12 + 5 * kept.count_ones() / 2 {
-            return self.push(child, kept, 0);
+            return self.push(bottom, child, kept, 0, count);
         }
         while kept != 0 {
             let (mut ids, mut rays) = (0, 0);
@@ -203,7 +251,7 @@ impl Walk {
                 rays |= left << (8 * i);
                 kept &= kept.wrapping_sub(1);
             }
-            self.push(child, ids, rays);
+            self.push(bottom, child, ids, rays, rays.count_ones());
         }
     }
 
@@ -231,7 +279,9 @@ impl Walk {
         goal: &mut impl Goal,
     ) {
         let block = bvh.view().leaf(leaf);
-        let above = kernel.above(block, self.origin, &self.hull);
+        // Of few rays each is tested sooner than the horizon.
+        let above =
+            if left.count_ones() < WIDE { 0xff } else { kernel.above(block, self.origin, &self.hull) };
         if above == 0 {
             return;
         }
@@ -252,8 +302,8 @@ impl Walk {
             let mask = BlockMask { certain: certain & !skipped, uncertain: uncertain & !skipped };
             if mask.certain | mask.uncertain != 0 {
                 let Self { rays, origin, item, .. } = self;
-                let ground = Ground { bvh, rays, origin: *origin, item: *item };
-                if goal.lanes(&ground, leaf, ray, mask) {
+                let mut ground = Ground { bvh, rays, origin: *origin, item: *item };
+                if goal.lanes(&mut ground, leaf, ray, mask) {
                     self.finish(ray / GROUP, 1 << (ray % GROUP));
                 }
             }
@@ -307,8 +357,8 @@ impl Walk {
                 let mask = BlockMask { certain: certain & open, uncertain: uncertain & open };
                 if mask.certain | mask.uncertain != 0 {
                     let Self { rays, origin, item, .. } = self;
-                    let ground = Ground { bvh, rays, origin: *origin, item: *item };
-                    let done = goal.rays(&ground, leaf, lane, group, mask);
+                    let mut ground = Ground { bvh, rays, origin: *origin, item: *item };
+                    let done = goal.rays(&mut ground, leaf, lane, group, mask);
                     self.finish(group, done);
                 }
             }

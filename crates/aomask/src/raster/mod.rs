@@ -25,7 +25,11 @@ pub use lod::{RasterLevel, RasterOptions};
 pub use simplify::{SimplifiedLevel, simplified_levels};
 pub use tile::RasterCounters;
 
-use crate::{MaskError, MaskOptions, MaskTables, Outputs, Receiver, drive, table::TableSet};
+use crate::{
+    MaskError, MaskOptions, MaskTables, Outputs, Receiver,
+    gather::{Answers, Wanted},
+    table::TableSet,
+};
 use tile::{Draw, Level, Scratch, Setting, TILE, Tile};
 use umbrage_geom::{Aabb, Progress, glam::Vec3, sampling::combine};
 
@@ -94,18 +98,19 @@ impl<'a> RasterView<'a> {
 /// # Errors
 /// [`MaskError::Build`] for geometry that can't be used; [`MaskError::Level`], [`MaskError::Radius`],
 /// [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`],
-/// [`MaskError::Cancelled`]. The outputs are as they were then.
+/// [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
 pub fn rasterize(
     tables: &MaskTables,
     levels: &[RasterLevel<'_>],
     view: &RasterView<'_>,
     options: &MaskOptions,
     raster: &RasterOptions,
-    outputs: Outputs<'_>,
+    mut outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<RasterCounters, MaskError> {
     let pattern = tables.pattern();
-    options.validate(pattern)?;
+    options.validate_for_tables(pattern)?;
+    outputs.validate_for_tables()?;
     let receivers = view.receivers(options.seed)?;
     outputs.validate(receivers.len(), pattern.words())?;
     let levels = lod::prepare(levels, &bounds(levels, &receivers), options, raster, pattern)?;
@@ -113,8 +118,9 @@ pub fn rasterize(
         Raster { tables, set, levels: &levels, view, options, raster, receivers: &receivers }.run(progress)
     });
     let (masks, counters) = result?;
-    let indices = (0..receivers.len()).zip(&receivers);
-    drive::write(pattern, outputs, &masks, indices.map(|(i, receiver)| (i, receiver.as_ref())));
+    let answers = Answers { masks, ..Answers::default() };
+    let gathered = Wanted::new(&outputs).gather(pattern, receivers.iter().map(Option::as_ref), &answers);
+    gathered.write(&mut outputs, 0..receivers.len());
     Ok(counters)
 }
 

@@ -96,7 +96,7 @@ impl Influence {
         let top = n * reach;
         let bottom = match self.sides {
             Sides::Both => -top,
-            Sides::Front => n * (-PAD * reach),
+            Sides::Front | Sides::FrontFirst => n * (-PAD * reach),
         };
         let mut base = [DVec3::ZERO; 6];
         for i in 0..3 {

@@ -21,6 +21,7 @@ pub(crate) use triangle_mask::{TriangleTables, Triangles};
 use crate::{
     BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver,
     drive::{self, Engine},
+    gather::{self, Answers},
     kernel::Job,
 };
 use edge::EdgeTable;
@@ -199,7 +200,7 @@ impl MaskTables {
     ///
     /// # Errors
     /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`],
-    /// [`MaskError::Normal`], [`MaskError::Cancelled`]. The outputs are as they were then.
+    /// [`MaskError::Normal`], [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
     pub fn answer(
         &self,
         bvh: &Bvh,
@@ -216,7 +217,8 @@ impl MaskTables {
     /// [`Self::answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
     ///
     /// # Errors
-    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Cancelled`].
+    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Unsupported`],
+    /// [`MaskError::Cancelled`].
     pub fn answer_receivers(
         &self,
         bvh: &Bvh,
@@ -225,6 +227,8 @@ impl MaskTables {
         outputs: Outputs<'_>,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<(), MaskError> {
+        options.validate_for_tables(&self.pattern)?;
+        outputs.validate_for_tables()?;
         with_set!(&self.tables, set => {
             let engine = Walker { tables: self, scene: self.scene(set, bvh, options) };
             drive::run(&engine, &self.pattern, options, receivers, outputs, progress)
@@ -236,7 +240,7 @@ impl MaskTables {
     /// # Errors
     /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`].
     pub fn ao(&self, bvh: &Bvh, receiver: &Receiver, options: &MaskOptions) -> Result<f32, MaskError> {
-        options.validate(&self.pattern)?;
+        options.validate_for_tables(&self.pattern)?;
         let mut mask = [0; Pattern::MAX_RAYS as usize / 64];
         let masks = &mut mask[..self.pattern.words()];
         with_set!(&self.tables, set => {
@@ -245,7 +249,7 @@ impl MaskTables {
             let block = Block { tables: self, scene: &scene, receivers, masks, stack: &mut Vec::new() };
             self.options.back_end.run(Counted { block, stats: &mut () });
         });
-        Ok(drive::openness(&self.pattern, masks))
+        Ok(gather::openness(&self.pattern, masks))
     }
 
     /// Work of [`Self::answer`] on one thread.
@@ -258,7 +262,7 @@ impl MaskTables {
         receivers: &[Receiver],
         options: &MaskOptions,
     ) -> Result<TableCounters, MaskError> {
-        options.validate(&self.pattern)?;
+        options.validate_for_tables(&self.pattern)?;
         let mut counters = TableCounters::default();
         with_set!(&self.tables, set => {
             let scene = self.scene(set, bvh, options);
@@ -327,7 +331,8 @@ impl<const W: usize> Engine for Walker<'_, W> {
         Vec::new()
     }
 
-    fn masks(&self, receivers: &[Receiver], masks: &mut [u64], stack: &mut Stack<W>) {
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, stack: &mut Stack<W>) {
+        let masks = &mut answers.masks[..];
         let block = Block { tables: self.tables, scene: &self.scene, receivers, masks, stack };
         self.tables.options.back_end.run(Counted { block, stats: &mut () });
     }

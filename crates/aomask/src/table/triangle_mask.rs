@@ -100,7 +100,7 @@ impl Triangles {
         let heights = normals.dot(a);
         let facing = match sides {
             Sides::Both => F8::ZERO.lt(heights.abs()),
-            Sides::Front => heights.lt(F8::ZERO),
+            Sides::Front | Sides::FrontFirst => heights.lt(F8::ZERO),
         };
         let distances = heights.abs() / normals.dot(normals).sqrt();
         let sign = heights.signum();
@@ -164,7 +164,7 @@ impl Triangles {
         let height = normal.dot(a);
         let facing = match sides {
             Sides::Both => height != 0.0,
-            Sides::Front => height < 0.0,
+            Sides::Front | Sides::FrontFirst => height < 0.0,
         };
         let up = up.as_dvec3();
         let set = |bits: &mut u32, bit: bool| *bits = *bits & !(1 << i) | u32::from(bit) << i;

@@ -80,6 +80,7 @@ pub fn exact(scene: &Scene, pattern: &Pattern, points: &Points, options: &MaskOp
                     };
                     scene.bvh.for_each_hit(ray, stop).is_break()
                 }
+                Sides::FrontFirst => scene.bvh.closest_hit(ray).is_some_and(|hit| hit.front),
             };
             words[k / 64] |= u64::from(hit) << (k % 64);
         }

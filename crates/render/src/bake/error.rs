@@ -114,9 +114,17 @@ pub enum BakeError {
     /// Masks could not be computed.
     #[error(transparent)]
     Mask(umbrage_aomask::MaskError),
-    /// Masks know only free and blocked rays.
-    #[error("some occluder is semi-transparent, which this method can't do; use the method rays")]
+    /// The method, or the sides that block, make sense for opaque occluders only.
+    #[error(
+        "some occluder is semi-transparent, which approximate masks, target errors and fronts before any back can't do"
+    )]
     SemiTransparent,
+    /// The target error is 0, negative or NaN, or the method can't aim at one.
+    #[error("target error: {0}")]
+    TargetError(&'static str),
+    /// The occluders were not prefiltered.
+    #[error("the occluders are not prefiltered, which this method needs")]
+    NotPrefiltered,
     /// Rays could not be written down.
     #[error("writing rays: {0}")]
     Dump(std::io::Error),

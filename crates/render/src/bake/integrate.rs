@@ -22,7 +22,7 @@ const BLOCK: usize = 64;
 const BATCH: usize = 1024;
 
 /// Least height of a ray above the surface it starts on, as a cosine.
-const MIN_HEIGHT: f32 = 5e-4;
+pub(super) const MIN_HEIGHT: f32 = 5e-4;
 
 /// Steps of the table of ray lengths: what interpolation in it changes of `ao` is below 1 / 4096, where a falloff jumps, and
 /// far below elsewhere. Asking [`Falloff::length`] for each ray took longer than tracing it (400 to 700 ns).
@@ -48,8 +48,8 @@ pub fn blocks(receivers: usize) -> usize {
 /// the receiver's own triangle are mirrored at its plane, so that convex surfaces stay exactly 1.
 ///
 /// # Errors
-/// Those of [`BakeOptions::validate`]; [`BakeError::SidesWithPrefilter`], [`BakeError::Length`], [`BakeError::Shard`], [`BakeError::Cancelled`]. After an error
-/// `ao` is as it was.
+/// Those of [`BakeOptions::validate`]; [`BakeError::SidesWithPrefilter`], [`BakeError::SemiTransparent`], [`BakeError::TargetError`], [`BakeError::Length`],
+/// [`BakeError::Shard`], [`BakeError::Cancelled`]. After an error `ao` is as it was.
 pub fn bake(
     occluders: &Occluders,
     receivers: &Receivers,
@@ -61,6 +61,12 @@ pub fn bake(
     options.validate()?;
     if occluders.is_prefiltered() && options.sides != Sides::Both {
         return Err(BakeError::SidesWithPrefilter);
+    }
+    if options.target_error.is_some() {
+        return Err(BakeError::TargetError("only ao, by method mask, can be baked to a target error"));
+    }
+    if options.sides == Sides::FrontFirst && !occluders.is_opaque() {
+        return Err(BakeError::SemiTransparent);
     }
     let mine = shard_of(receivers, shard, ao)?;
     let integrator = Integrator::new(occluders, receivers, options);
@@ -112,6 +118,16 @@ pub fn bake_points(
 ) -> Result<(), BakeError> {
     let receivers = Receivers::from_points(points, normals)?;
     bake(occluders, &receivers, options, Shard::WHOLE, ao, &mut |_| true)
+}
+
+/// `direction`, mirrored at the plane with the normal `face` if it leads below.
+pub(super) fn above(direction: Vec3, face: Vec3) -> Vec3 {
+    let height = direction.dot(face);
+    if height < MIN_HEIGHT {
+        (direction + face * (height.abs().max(MIN_HEIGHT) - height)).normalize()
+    } else {
+        direction
+    }
 }
 
 struct Integrator<'a> {
@@ -203,11 +219,7 @@ impl<'a> Integrator<'a> {
     }
 
     fn ray(&self, receiver: usize, lobe: &Lobe, sample: &Sample) -> Ray {
-        let mut direction = Frame::from_normal(lobe.normal).world_from_local(sample.direction);
-        let height = direction.dot(lobe.face);
-        if height < MIN_HEIGHT {
-            direction = (direction + lobe.face * (height.abs().max(MIN_HEIGHT) - height)).normalize();
-        }
+        let direction = above(Frame::from_normal(lobe.normal).world_from_local(sample.direction), lobe.face);
         let magnitude = self.receivers.magnitudes[receiver];
         let origin =
             offset_origin(lobe.point, lobe.face, direction, magnitude) + lobe.face * self.options.bias;

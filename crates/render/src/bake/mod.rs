@@ -36,7 +36,7 @@ mod tests;
 
 pub use error::BakeError;
 pub use integrate::{bake, bake_points, blocks};
-pub use mask::bake_mask_table;
+pub use mask::{MaskExtras, MaskMethod, bake_masks};
 pub use occluders::{Ground, Occluders};
 pub use options::{BakeOptions, Jitter, NormalSource, Shard, Sides};
 pub use receivers::Receivers;

@@ -2,6 +2,7 @@
 
 use super::{BakeError, Sides};
 use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_aomask::coarse::FarField;
 use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
@@ -34,6 +35,20 @@ pub struct Occluders {
 
 /// Threshold `T` of prefiltered ambient occlusion, see `docs/prefilter.md`.
 const THRESHOLD: f32 = 0.3;
+
+/// See [`Occluders::far`].
+pub(super) struct Far<'a> {
+    scene: &'a Prefiltered,
+    query: &'a Query,
+}
+
+impl FarField for Far<'_> {
+    fn transmittances(&self, rays: &[Ray], solid_angles: &[f32], passed: &mut [f32]) {
+        let cones: Vec<ConeRay> =
+            rays.iter().zip(solid_angles).map(|(&ray, &solid_angle)| ConeRay { ray, solid_angle }).collect();
+        self.scene.transmittances_with(&cones, self.query, passed, &mut ());
+    }
+}
 
 /// Buffers of [`Occluders::light`].
 #[derive(Default)]
@@ -107,6 +122,11 @@ impl Occluders {
         self.prefiltered.is_some()
     }
 
+    /// The prefiltered occluders as what lies far away.
+    pub(super) fn far(&self) -> Option<Far<'_>> {
+        self.prefiltered.as_ref().map(|(scene, query)| Far { scene, query })
+    }
+
     /// Bounds of the meshes, without the ground.
     pub fn bounds(&self) -> Aabb {
         self.bounds
@@ -143,6 +163,10 @@ impl Occluders {
             self.bvh.any_hits_with(rays, blocked, &mut ());
             return blocked.iter().filter(|&&b| !b).count() as f64;
         }
+        if sides == Sides::FrontFirst {
+            let blocked = |ray: &&Ray| self.bvh.closest_hit(ray).is_some_and(|hit| hit.front);
+            return (rays.len() - rays.iter().filter(blocked).count()) as f64;
+        }
         rays.iter()
             .map(|ray| self.bvh.transmittance(ray, |prim| self.depth(prim, ray, sides)))
             .map(|depth| f64::from(depth.transmittance()))
@@ -157,7 +181,12 @@ impl Occluders {
         {
             return OpticalDepth::CLEAR;
         }
-        self.depths.get(prim).copied().unwrap_or(OpticalDepth::OPAQUE)
+        self.depth_of(prim as u32)
+    }
+
+    /// Depth of a crossing of triangle `prim`.
+    pub(super) fn depth_of(&self, prim: u32) -> OpticalDepth {
+        self.depths.get(prim as usize).copied().unwrap_or(OpticalDepth::OPAQUE)
     }
 }
 

@@ -23,6 +23,9 @@ pub struct BakeOptions {
     /// Distance by which rays start above the surface, world units, beyond what rounding asks for. 0 is right for
     /// receivers that lie on the mesh; points that were made with less care may need more.
     pub bias: f32,
+    /// Standard error of `ao` to aim at, more than 0: each receiver gets as many rays as that takes by an estimate, up to
+    /// [`Self::rays`]. Only for [`super::bake_masks`], exact, opaque.
+    pub target_error: Option<f32>,
 }
 
 /// Which sides of a triangle block rays.
@@ -34,6 +37,9 @@ pub enum Sides {
     /// Only the front, from which the corners run counter-clockwise. Rays pass through back sides, so the inside of a
     /// closed mesh is open.
     Front,
+    /// Only a front that a ray meets before any back: a ray that meets a back first starts inside something and is free. For
+    /// opaque occluders.
+    FrontFirst,
 }
 
 /// How patterns of rays differ between receivers.
@@ -87,6 +93,7 @@ impl Default for BakeOptions {
             jitter: Jitter::Pattern,
             seed: 0,
             bias: 0.0,
+            target_error: None,
         }
     }
 }
@@ -137,11 +144,17 @@ impl BakeOptions {
         Self { bias, ..self }
     }
 
+    /// Sets [`Self::target_error`].
+    #[must_use]
+    pub fn with_target_error(self, target_error: f32) -> Self {
+        Self { target_error: Some(target_error), ..self }
+    }
+
     /// Checks everything that doesn't depend on receivers or occluders.
     ///
     /// # Errors
     /// [`BakeError::Count`], [`BakeError::Radius`], [`BakeError::FalloffWithoutRadius`], [`BakeError::Falloff`],
-    /// [`BakeError::Bias`].
+    /// [`BakeError::Bias`], [`BakeError::TargetError`].
     pub fn validate(&self) -> Result<(), BakeError> {
         if self.rays == 0 || self.rays > Self::MAX_RAYS {
             let (value, limit) = (self.rays.into(), Self::MAX_RAYS.into());
@@ -156,6 +169,9 @@ impl BakeOptions {
         }
         if radius == f32::INFINITY && self.falloff != Falloff::Constant {
             return Err(BakeError::FalloffWithoutRadius);
+        }
+        if self.target_error.is_some_and(|e| e.is_nan() || e <= 0.0) {
+            return Err(BakeError::TargetError("it has to be more than 0"));
         }
         if !(self.bias >= 0.0 && self.bias.is_finite()) {
             return Err(BakeError::Bias(self.bias));

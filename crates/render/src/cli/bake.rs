@@ -1,10 +1,11 @@
 //! `umbrage bake`
 
 use super::{Interrupted, is_mesh, progress::Bar, thread_pool};
+use crate::method::mask_rays;
 use crate::{
     bake::{
-        BakeError, BakeOptions, Ground, NormalSource, Occluders, Receivers, Shard, Sides, TexelMap, VAxis,
-        bake, bake_mask_table, blocks,
+        BakeError, BakeOptions, Ground, MaskExtras, MaskMethod, NormalSource, Occluders, Receivers, Shard,
+        Sides, TexelMap, VAxis, bake, bake_masks, blocks,
     },
     baked::{Baked, Surface, check_part_extension},
     fingerprint::Fingerprint,
@@ -83,30 +84,61 @@ pub struct BakeArguments {
     /// floats origin, tnear, direction, tfar, then 1 or 0 as an integer. Only for methods with masks.
     #[arg(long, value_name = "FILE")]
     dump_rays: Option<PathBuf>,
+    /// Give each vertex, texel or point as many rays, up to --rays, as this standard error of ao asks for. With --method mask.
+    #[arg(long, value_name = "E")]
+    target_error: Option<f32>,
+    /// Also write bent normals, the mean directions of free rays. Only for methods with masks.
+    #[arg(long)]
+    bent_normals: bool,
     /// Write times and counts as JSON.
     #[arg(long, value_name = "FILE.json")]
     stats: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Method {
-    /// Let the program choose.
+    /// Masks, or single rays for numbers of rays that masks can't have.
     Auto,
+    /// All rays of a receiver as one bit mask, exactly. 32 to 1024 rays, a multiple of 32.
+    Mask,
     /// Exact single rays.
     Rays,
     /// Rays that end at prefiltered nodes: approximate, for foliage and hair.
     Prefilter,
+    /// Masks for what is near, prefiltered nodes beyond: approximate. 32 to 1024 rays, a multiple of 32.
+    MaskPrefilter,
     /// All rays of a receiver as one bit mask, from tables: approximate. 32 to 1024 rays, a multiple of 32.
     MaskTable,
 }
 
 impl Method {
-    /// What is used: exact rays serve every mesh.
+    /// What is used for `rays` rays: masks serve every mesh.
+    fn resolve(self, rays: u32) -> Self {
+        match self {
+            Self::Auto if mask_rays(rays) => Self::Mask,
+            Self::Auto => Self::Rays,
+            other => other,
+        }
+    }
+
     fn name(self) -> &'static str {
         match self {
-            Self::Auto | Self::Rays => "rays",
+            Self::Auto => "auto",
+            Self::Mask => "mask",
+            Self::Rays => "rays",
             Self::Prefilter => "prefilter",
+            Self::MaskPrefilter => "mask-prefilter",
             Self::MaskTable => "mask-table",
+        }
+    }
+
+    /// The form of masks, if this is a method with masks.
+    fn mask(self) -> Option<MaskMethod> {
+        match self {
+            Self::Mask => Some(MaskMethod::Exact),
+            Self::MaskPrefilter => Some(MaskMethod::Prefilter),
+            Self::MaskTable => Some(MaskMethod::Table),
+            Self::Auto | Self::Rays | Self::Prefilter => None,
         }
     }
 }
@@ -125,6 +157,8 @@ enum SidesArgument {
     Both,
     /// Only fronts, from which corners run counter-clockwise.
     Front,
+    /// Only fronts that a ray meets before any back; opaque occluders only.
+    FrontFirst,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -177,14 +211,16 @@ impl BakeArguments {
         let sides = match self.sides {
             SidesArgument::Both => Sides::Both,
             SidesArgument::Front => Sides::Front,
+            SidesArgument::FrontFirst => Sides::FrontFirst,
         };
-        BakeOptions::default()
+        let options = BakeOptions::default()
             .with_rays(self.rays)
             .with_radius(self.radius.0)
             .with_falloff(self.falloff.clone())
             .with_sides(sides)
             .with_bias(self.bias)
-            .with_seed(self.seed)
+            .with_seed(self.seed);
+        BakeOptions { target_error: self.target_error, ..options }
     }
 
     fn normal_source(&self) -> NormalSource {
@@ -217,9 +253,22 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
         arguments.points.is_none() || arguments.per == Per::Vertex,
         "--points and --per texel exclude each other"
     );
+    let method = arguments.method.resolve(arguments.rays);
+    for (given, name) in
+        [(arguments.dump_rays.is_some(), "--dump-rays"), (arguments.bent_normals, "--bent-normals")]
+    {
+        ensure!(
+            !given || method.mask().is_some(),
+            "{name} needs a method with masks: --method mask or mask-table, with 32 to 1024 rays, a multiple of 32"
+        );
+    }
     ensure!(
-        arguments.dump_rays.is_none() || matches!(arguments.method, Method::MaskTable),
-        "--dump-rays needs a method with masks: --method mask-table"
+        arguments.target_error.is_none() || arguments.shard.is_none(),
+        "--target-error and --shard exclude each other: rays depend on the receivers around"
+    );
+    ensure!(
+        !arguments.bent_normals || arguments.shard.is_none(),
+        "--bent-normals and --shard exclude each other: parts hold only ao"
     );
     for path in std::iter::once(&arguments.output).chain(&arguments.stats).chain(&arguments.dump_rays) {
         umbrage_scene::check_writable(path)?;
@@ -299,7 +348,7 @@ fn bake_and_write(
     let ground = if arguments.ground { Ground::Below } else { Ground::Absent };
     let meshes: Vec<&TriangleMesh> = std::iter::once(&input.mesh).chain(&input.occluders).collect();
     let mut occluders = Occluders::build(&meshes, ground).with_context(source)?;
-    if let Method::Prefilter = arguments.method {
+    if let Method::Prefilter | Method::MaskPrefilter = arguments.method {
         occluders = occluders.prefiltered().with_context(source)?;
     }
     let build_s = start.elapsed().as_secs_f64();
@@ -308,15 +357,18 @@ fn bake_and_write(
     let mut ao = vec![f32::NAN; receivers.len()];
     let part = Shard { index: shard.index() - 1, count: shard.count() };
     let mut report = |f| bar.report(f);
-    let mut by_masks = |dump: Option<&mut dyn Write>| {
-        bake_mask_table(&occluders, &receivers, options, part, &mut ao, dump, &mut report)
+    let mut bent = arguments.bent_normals.then(|| vec![[0.0; 3]; receivers.len()]);
+    let method = arguments.method.resolve(options.rays);
+    let mut by_masks = |masks: MaskMethod, dump: Option<&mut dyn Write>| {
+        let extras = MaskExtras { dump, bent_normals: bent.as_deref_mut() };
+        bake_masks(&occluders, &receivers, options, masks, part, &mut ao, extras, &mut report)
     };
-    let result = match (arguments.method, &arguments.dump_rays) {
-        (Method::MaskTable, None) => by_masks(None),
-        (Method::MaskTable, Some(path)) => {
+    let result = match (method.mask(), &arguments.dump_rays) {
+        (Some(masks), None) => by_masks(masks, None),
+        (Some(masks), Some(path)) => {
             let mut failure = None;
             let written = umbrage_scene::write_atomically(path, |out| {
-                by_masks(Some(out)).map_err(|error| {
+                by_masks(masks, Some(out)).map_err(|error| {
                     failure = Some(error);
                     std::io::ErrorKind::Other.into()
                 })
@@ -326,9 +378,7 @@ fn bake_and_write(
                 None => Ok(written?),
             }
         }
-        (Method::Auto | Method::Rays | Method::Prefilter, _) => {
-            bake(&occluders, &receivers, options, part, &mut ao, &mut report)
-        }
+        (None, _) => bake(&occluders, &receivers, options, part, &mut ao, &mut report),
     };
     match result {
         Ok(()) => {}
@@ -338,7 +388,7 @@ fn bake_and_write(
     let bake_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let baked_here = ao.iter().filter(|ao| !ao.is_nan()).count();
-    let baked = Baked { surface, ao };
+    let baked = Baked { surface, ao, bent_normals: bent };
     match arguments.shard {
         None => baked.write(&arguments.output)?,
         Some(shard) => {
@@ -350,7 +400,7 @@ fn bake_and_write(
         let stats = json!({
             "umbrage": env!("CARGO_PKG_VERSION"),
             "mesh": source(),
-            "method": arguments.method.name(),
+            "method": method.name(),
             "shard": arguments.shard.map(|s| s.to_string()),
             "triangles": meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
             "receivers": baked_here,
@@ -382,7 +432,7 @@ fn fingerprint(
     if let Surface::Points { positions, normals } = &baked.surface {
         fingerprint.words(positions.iter().chain(normals).flatten().map(|x| x.to_bits()));
     }
-    let method = arguments.method.name();
+    let method = arguments.method.resolve(options.rays).name();
     let all = format!("{options:?} {:?} {} {method}", arguments.normal_source(), arguments.ground);
     fingerprint.bytes(all.as_bytes());
     fingerprint.finish()

@@ -29,16 +29,18 @@ pub(crate) const TINY: f32 = 1e-30;
 /// Children to visit.
 pub(crate) struct Stack {
     /// References as in [`NodeView::children`].
-    pub(crate) children: [u32; STACK],
+    pub(crate) children: Box<[u32; STACK]>,
     /// Groups that may enter, a bit each; or the numbers of four groups, a byte each, if there are rays.
-    pub(crate) groups: [u32; STACK],
+    pub(crate) groups: Box<[u32; STACK]>,
     /// Rays of those four groups that may enter, or 0.
-    pub(crate) rays: [u32; STACK],
+    pub(crate) rays: Box<[u32; STACK]>,
 }
 
 impl Stack {
     pub(crate) fn new() -> Self {
-        Self { children: [0; STACK], groups: [0; STACK], rays: [0; STACK] }
+        // Never built in place and moved: memory that no walk gets to is never touched.
+        let row = || vec![0; STACK].try_into().expect("as long");
+        Self { children: row(), groups: row(), rays: row() }
     }
 }
 
@@ -118,6 +120,9 @@ pub(crate) trait Kernel: Copy {
     /// Children that reach into `hull`; of no meaning in empty slots.
     fn inside(self, rows: &Rows, hull: &Hull) -> u32;
 
+    /// Children whose boxes hold the origin, so that all rays enter them; of no meaning in empty slots.
+    fn around(self, rows: &Rows) -> u32;
+
     /// Spheres around the children.
     fn spheres(self, rows: &Rows) -> Spheres;
 
@@ -126,6 +131,9 @@ pub(crate) trait Kernel: Copy {
 
     /// Groups of `rays` that may meet sphere `child`.
     fn cones(self, spheres: &Spheres, child: usize, rays: &RaySet) -> u32;
+
+    /// Groups of `rays` that may meet box `child`, by the boxes around their directions.
+    fn box_groups(self, rows: &Rows, child: usize, rays: &RaySet, hull: &Hull) -> u32;
 
     /// Rays of `group` that may meet box `child`, a bit each.
     fn box_rays(self, rows: &Rows, child: usize, rays: &RaySet, group: usize) -> u32;

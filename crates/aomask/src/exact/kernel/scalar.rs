@@ -52,6 +52,13 @@ impl Kernel for Scalar {
         })
     }
 
+    fn around(self, rows: &Rows) -> u32 {
+        (0..LANES).fold(0, |mask, i| {
+            let inside = (0..3).all(|axis| rows.0[2 * axis][i] <= 0.0 && rows.0[2 * axis + 1][i] >= 0.0);
+            mask | u32::from(inside) << i
+        })
+    }
+
     fn spheres(self, rows: &Rows) -> Spheres {
         let row = [0.0; LANES];
         let mut spheres = Spheres { center: [row; 3], slack: row, tangent: row, radius: row };
@@ -90,6 +97,23 @@ impl Kernel for Scalar {
         })
     }
 
+    fn box_groups(self, rows: &Rows, child: usize, rays: &RaySet, hull: &Hull) -> u32 {
+        (0..GROUPS).fold(0, |mask, g| {
+            let (mut entry, mut exit) = (0f32, hull.radius);
+            for axis in 0..3 {
+                let (low, high) = (rows.0[2 * axis][child], rows.0[2 * axis + 1][child]);
+                let [a, b] = [rays.ends[axis][0][g], rays.ends[axis][1][g]];
+                if !a.is_nan() {
+                    let all = [low * a, low * b, high * a, high * b];
+                    entry = entry.max(all.into_iter().fold(f32::INFINITY, f32::min));
+                    exit = exit.min(all.into_iter().fold(f32::NEG_INFINITY, f32::max));
+                }
+            }
+            // NaN, from overflow, counts as met.
+            mask | u32::from(!(entry > exit * (1.0 + 1e-5) + f32::MIN_POSITIVE)) << g
+        })
+    }
+
     fn box_rays(self, rows: &Rows, child: usize, rays: &RaySet, group: usize) -> u32 {
         (0..GROUP).fold(0, |mask, i| mask | u32::from(enters(rows, child, rays, group * GROUP + i)) << i)
     }
@@ -105,11 +129,18 @@ impl Kernel for Scalar {
         stack: &mut Stack,
         mut top: usize,
     ) -> usize {
+        let bottom = top;
         for child in (0..LANES).rev().filter(|child| wanted >> child & 1 == 1) {
             let may = |bit: u32| left >> bit & 1 == 1 && enters(rows, child, rays, ray_of(ids, bit));
             let column = (0..32).fold(0, |column, bit| column | u32::from(may(bit)) << bit);
             if column != 0 {
-                (stack.children[top], stack.groups[top], stack.rays[top]) = (children[child], ids, column);
+                // By insertion, most rays on top.
+                let mut at = top;
+                while at > bottom && stack.rays[at - 1].count_ones() > column.count_ones() {
+                    (stack.children[at], stack.rays[at]) = (stack.children[at - 1], stack.rays[at - 1]);
+                    at -= 1;
+                }
+                (stack.children[at], stack.groups[top], stack.rays[at]) = (children[child], ids, column);
                 top += 1;
             }
         }

@@ -99,6 +99,20 @@ fn inside(rows: &Rows, hull: &Hull) -> u32 {
 }
 
 #[inline]
+#[target_feature(enable = "avx2")]
+fn around(rows: &Rows) -> u32 {
+    let (mut lowest, mut highest) = (load(&rows.0[0]), load(&rows.0[1]));
+    for axis in 1..3 {
+        lowest = _mm256_max_ps(lowest, load(&rows.0[2 * axis]));
+        highest = _mm256_min_ps(highest, load(&rows.0[2 * axis + 1]));
+    }
+    let zero = _mm256_setzero_ps();
+    let below = _mm256_cmp_ps::<_CMP_LE_OQ>(lowest, zero);
+    let above = _mm256_cmp_ps::<_CMP_GE_OQ>(highest, zero);
+    _mm256_movemask_ps(_mm256_and_ps(below, above)) as u32
+}
+
+#[inline]
 #[target_feature(enable = "avx2,fma")]
 fn spheres(rows: &Rows) -> Spheres {
     let row = [0.0; LANES];
@@ -148,6 +162,32 @@ fn cones(spheres: &Spheres, child: usize, rays: &RaySet) -> u32 {
         test = _mm256_fnmadd_ps(of(&rays.cos), tangent, test);
         let met = _mm256_cmp_ps::<_CMP_NLT_UQ>(test, _mm256_setzero_ps());
         mask |= (_mm256_movemask_ps(met) as u32) << first;
+    }
+    mask
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn box_groups(rows: &Rows, child: usize, rays: &RaySet, hull: &Hull) -> u32 {
+    let mut mask = 0;
+    for first in (0..rays.groups).step_by(LANES) {
+        // SAFETY: rows have `GROUPS` numbers, a multiple of `LANES`.
+        let of = |row: &[f32; GROUPS]| unsafe { _mm256_loadu_ps(row.as_ptr().add(first % GROUPS)) };
+        let (mut entry, mut exit) = (_mm256_setzero_ps(), _mm256_set1_ps(hull.radius));
+        for axis in 0..3 {
+            let low = _mm256_set1_ps(rows.0[2 * axis][child % LANES]);
+            let high = _mm256_set1_ps(rows.0[2 * axis + 1][child % LANES]);
+            let (a, b) = (of(&rays.ends[axis][0]), of(&rays.ends[axis][1]));
+            let (la, lb) = (_mm256_mul_ps(low, a), _mm256_mul_ps(low, b));
+            let (ha, hb) = (_mm256_mul_ps(high, a), _mm256_mul_ps(high, b));
+            let least = _mm256_min_ps(_mm256_min_ps(la, lb), _mm256_min_ps(ha, hb));
+            let most = _mm256_max_ps(_mm256_max_ps(la, lb), _mm256_max_ps(ha, hb));
+            // `max` and `min` return the second operand for NaN, which drops it.
+            entry = _mm256_max_ps(least, entry);
+            exit = _mm256_min_ps(most, exit);
+        }
+        let exit = _mm256_fmadd_ps(exit, _mm256_set1_ps(1.0 + 1e-5), _mm256_set1_ps(f32::MIN_POSITIVE));
+        mask |= (_mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NGT_UQ>(entry, exit)) as u32) << first;
     }
     mask
 }
@@ -224,6 +264,19 @@ fn sorted(mut keys: __m256i) -> __m256i {
     keys
 }
 
+/// Number of set bits in each lane.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn count_ones(x: __m256i) -> __m256i {
+    let of_nibble =
+        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4));
+    let nibbles = _mm256_set1_epi8(0xf);
+    let low = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(x, nibbles));
+    let high = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(_mm256_srli_epi32::<4>(x), nibbles));
+    let pairs = _mm256_maddubs_epi16(_mm256_add_epi8(low, high), _mm256_set1_epi8(1));
+    _mm256_madd_epi16(pairs, _mm256_set1_epi16(1))
+}
+
 /// Squared distances of the boxes.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
@@ -262,9 +315,12 @@ fn push_rays(
     let missed = _mm256_cmpeq_epi32(columns, _mm256_setzero_si256());
     let mask = !(_mm256_movemask_ps(_mm256_castsi256_ps(missed)) as u32) & (wanted % 256);
     assert!(top + LANES <= stack.rays.len(), "the tree has no more levels than the stack");
-    // Farthest first, by the upper bits of the distance; lanes that aren't wanted last.
+    // Fewest rays first, and of those as many the farthest, by the upper bits of the distance; lanes that aren't wanted last.
     let numbers = _mm256_setr_epi32(8, 9, 10, 11, 12, 13, 14, 15);
-    let distance = _mm256_and_si256(_mm256_castps_si256(gaps(rows)), _mm256_set1_epi32(!15));
+    let fewer = _mm256_sub_epi32(_mm256_set1_epi32(32), count_ones(columns));
+    let distance = _mm256_srli_epi32::<7>(_mm256_castps_si256(gaps(rows)));
+    let distance = _mm256_and_si256(distance, _mm256_set1_epi32(!15));
+    let distance = _mm256_or_si256(_mm256_slli_epi32::<25>(fewer), distance);
     let bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
     let taken = _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32(mask as i32), bits), bits);
     let order = sorted(_mm256_and_si256(_mm256_or_si256(distance, numbers), taken));
@@ -383,6 +439,12 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
+    fn around(self, rows: &Rows) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { around(rows) }
+    }
+
+    #[inline(always)]
     fn spheres(self, rows: &Rows) -> Spheres {
         // SAFETY: `self` proves the target features.
         unsafe { spheres(rows) }
@@ -398,6 +460,12 @@ impl Kernel for Avx2 {
     fn cones(self, spheres: &Spheres, child: usize, rays: &RaySet) -> u32 {
         // SAFETY: `self` proves the target features.
         unsafe { cones(spheres, child, rays) }
+    }
+
+    #[inline(always)]
+    fn box_groups(self, rows: &Rows, child: usize, rays: &RaySet, hull: &Hull) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { box_groups(rows, child, rays, hull) }
     }
 
     #[inline(always)]
