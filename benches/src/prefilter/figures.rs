@@ -7,12 +7,12 @@ use super::{
 use crate::rows::{Output, Row};
 use anyhow::Result;
 use serde_json::{Value, json};
-use std::{collections::BTreeMap, time::Instant};
+use std::time::Instant;
 use umbrage_accel::Statistics;
 use umbrage_geom::{Ray, sampling::RandomStream};
 use umbrage_occlusion::prefilter::{
-    CellSampling, ConeRay, Correlation, PrefilterOptions, Prefiltered, Query, SegmentEnds, StopStatistics,
-    Storage, published::Published,
+    CellSampling, ConeRay, Correlation, PrefilterOptions, Prefiltered, Query, SegmentEnds, Storage,
+    published::Published,
 };
 use umbrage_scene::generate::{ParameterValue, Parameters, generate};
 
@@ -89,15 +89,30 @@ pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
     Ok(())
 }
 
-/// Levels at which rays end.
-#[derive(Default)]
-struct Levels(BTreeMap<usize, u64>);
+/// Levels at which rays end: the root's children are on level 1.
+struct Levels {
+    of_node: Vec<u32>,
+    count: usize,
+    ends: u64,
+    sum: u64,
+}
 
-impl Statistics for Levels {}
+impl Levels {
+    fn new(scene: &Prefiltered) -> Self {
+        let levels = scene.levels();
+        let mut of_node = vec![0; levels.iter().map(Vec::len).sum()];
+        for (level, nodes) in levels.iter().enumerate() {
+            nodes.iter().for_each(|&node| of_node[node as usize] = level as u32 + 1);
+        }
+        Self { of_node, count: levels.len(), ends: 0, sum: 0 }
+    }
+}
 
-impl StopStatistics for Levels {
-    fn stops(&mut self, slots: u32, level: impl FnOnce() -> usize) {
-        *self.0.entry(level() + 1).or_default() += u64::from(slots.count_ones());
+impl Statistics for Levels {
+    fn ends(&mut self, node: u32, slots: u32) {
+        let ends = u64::from(slots.count_ones());
+        self.ends += ends;
+        self.sum += ends * u64::from(self.of_node[node as usize]);
     }
 }
 
@@ -107,12 +122,11 @@ pub fn convergence(case: &Case, output: &mut Output) -> Result<()> {
     for rays in [4, 16, 64] {
         let cones = case.rays(Kind::Whole, rays, 5);
         let mut passed = vec![0.0; cones.len()];
-        let mut levels = Levels::default();
+        let mut levels = Levels::new(&scene);
         scene.transmittances_with(&cones, &Query::new(0.2)?, &mut passed, &mut levels);
-        let ends: u64 = levels.0.values().sum();
-        let mean = levels.0.iter().map(|(&l, &n)| l as f64 * n as f64).sum::<f64>() / ends.max(1) as f64;
         let counters = json!({
-            "ends_a_ray": ends as f64 / cones.len() as f64, "mean_level": mean, "levels": scene.levels(),
+            "ends_a_ray": levels.ends as f64 / cones.len() as f64,
+            "mean_level": levels.sum as f64 / levels.ends.max(1) as f64, "levels": levels.count,
         });
         let params = json!({ "figure": "6", "rays": rays, "t": 0.2 });
         output.row(&error_row(

@@ -5,8 +5,8 @@
 
 use crate::{
     Bvh, Statistics,
-    kernel::{Ahead, FAN, Kernel, Rows, Stack},
-    node::{LEAF, Node, WIDTH},
+    kernel::{Ahead, FAN, Kernel, Prepared, Rows, Stack},
+    node::{LEAF, Node, Note, WIDTH},
     packet::PACKET,
     traversal,
 };
@@ -14,14 +14,14 @@ use std::ops::Range;
 use umbrage_geom::{
     Aabb, OpticalDepth, Ray,
     kernel::{
-        BlockMask, LANES,
+        BlockMask, LANES, TriangleBlock,
         fan::{CHUNK, FanRays, slab_inverse},
     },
     segment_hits_triangle,
 };
 
 /// Fewest rays that are worth a fan.
-const SMALLEST: usize = 4;
+pub(crate) const SMALLEST: usize = 4;
 
 /// Fewest rays for which a node is first tested against the envelope.
 const WIDE: u32 = 4;
@@ -40,11 +40,13 @@ pub(crate) struct Parts<'a> {
     at: usize,
     /// Rays of the fan that ended the last packet.
     fan: usize,
+    /// Fewest rays of a fan.
+    smallest: usize,
 }
 
 impl<'a> Parts<'a> {
-    pub(crate) fn new(rays: &'a [Ray]) -> Self {
-        Self { rays, at: 0, fan: 0 }
+    pub(crate) fn new(rays: &'a [Ray], smallest: usize) -> Self {
+        Self { rays, at: 0, fan: 0, smallest }
     }
 
     /// Rays from `at` whose origins have the same bits, up to [`FAN`].
@@ -66,7 +68,7 @@ impl Iterator for Parts<'_> {
         let mut end = start;
         while self.fan == 0 && end < self.rays.len() && end - start < PACKET {
             let same = self.same_origin(end);
-            if same >= SMALLEST {
+            if same >= self.smallest {
                 self.fan = same;
             } else {
                 end += same.min(PACKET - (end - start));
@@ -179,14 +181,75 @@ impl Envelope {
     }
 }
 
-/// What is asked about each ray.
-pub(crate) trait Goal {
-    /// Takes the triangles of a leaf that ray `index` hits for certain, and those that the exact predicate has to decide.
-    /// Whether the ray needs no more.
-    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool;
+/// A ray of a fan.
+#[derive(Clone, Copy, Debug)]
+pub struct FanRay {
+    /// Its place in the batch.
+    pub index: usize,
+    /// Which of the fans that take turns it belongs to, below [`WALKS`].
+    pub walk: usize,
+    /// Its column there.
+    pub column: usize,
+}
 
-    /// Answers a ray that no fan takes.
-    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S);
+/// What is asked about each ray of a batch. Everything that is called often should be `#[inline(always)]` and written as
+/// loops over arrays: it is then compiled with the instructions of the walk.
+pub trait FanGoal {
+    /// Rays of the batch start together: the one in column `i` of `rays` is `first + i`. Bit `i` of `fit` is set for those that
+    /// the walk answers.
+    #[inline(always)]
+    fn start(&mut self, walk: usize, first: usize, fit: u32, rays: &FanRays<FAN>) {
+        let _ = (walk, first, fit, rays);
+    }
+
+    /// Slots of a node where some ray of the walk may end, instead of entering them. `rows` are the planes of their boxes
+    /// (smallest x, largest x, smallest y, ..) relative to the rays' origin.
+    #[inline(always)]
+    fn may_end(&mut self, walk: usize, note: &Note, rows: &[[f32; WIDTH]; 6]) -> u32 {
+        let _ = (walk, note, rows);
+        0
+    }
+
+    /// Ends what ends at a node, after [`Self::may_end`]: of the rays `left` (a bit each) writes for each slot those that
+    /// enter it, a bit each; returns the rays that need no more.
+    #[inline(always)]
+    fn end<S: Statistics>(
+        &mut self,
+        at: FanNode<'_>,
+        left: u32,
+        entered: &mut [u32; WIDTH],
+        stats: &mut S,
+    ) -> u32 {
+        let _ = (at, left, entered, stats);
+        0
+    }
+
+    /// Takes the triangles of a leaf that a ray hits for certain, and those that the exact predicate has to decide.
+    /// Whether the ray needs no more.
+    fn leaf(&mut self, ray: FanRay, leaf: u32, block: &TriangleBlock, mask: BlockMask) -> bool;
+
+    /// The rays that started last in this walk have met everything.
+    #[inline(always)]
+    fn finish(&mut self, walk: usize) {
+        let _ = walk;
+    }
+}
+
+/// A node as the rays of one fan see it.
+#[derive(Clone, Copy, Debug)]
+pub struct FanNode<'a> {
+    /// Which of the fans that take turns.
+    pub walk: usize,
+    /// The node.
+    pub index: u32,
+    /// What it keeps for its owner.
+    pub note: &'a Note,
+    /// Planes of its boxes relative to the origin.
+    pub rows: &'a [[f32; WIDTH]; 6],
+    /// The rays.
+    pub rays: &'a FanRays<FAN>,
+    /// Slots in use; what others say means nothing.
+    pub used: u32,
 }
 
 /// One fan on its way.
@@ -235,13 +298,14 @@ impl Walk {
         fit
     }
 
-    /// Visits one node or leaf; false if there was none left.
+    /// Visits one node or leaf; false if there was none left. `walk` is its own number.
     #[inline(always)]
     fn step<K: Kernel, S: Statistics>(
         &mut self,
         kernel: K,
         bvh: &Bvh,
-        goal: &mut impl Goal,
+        walk: usize,
+        goal: &mut impl FanGoal,
         stats: &mut S,
     ) -> bool {
         let (child, mask) = loop {
@@ -255,7 +319,7 @@ impl Walk {
             }
         };
         if child & LEAF != 0 {
-            self.leaf(kernel, bvh, (child & !LEAF) as usize, mask, goal, stats);
+            self.leaf(kernel, bvh, (child & !LEAF) as usize, mask, walk, goal, stats);
             return true;
         }
         let node = &bvh.tree.nodes[child as usize];
@@ -265,7 +329,14 @@ impl Walk {
         if self.narrow && mask.count_ones() >= WIDE {
             wanted &= self.envelope.mask(kernel, &rows);
         }
-        if wanted & wanted.wrapping_sub(1) == 0 {
+        if wanted & goal.may_end(walk, &node.note, &rows.0) != 0 {
+            stats.node(node.len() as u32);
+            let mut columns = [0; WIDTH];
+            let (note, rows, rays, used) = (&node.note, &rows, &self.fan, node.used);
+            let at = FanNode { walk, index: child, note, rows: &rows.0, rays, used };
+            self.alive &= !goal.end(at, mask, &mut columns, stats);
+            self.top = kernel.push(&node.children, rows, &self.ahead, &columns, &mut self.stack, bottom);
+        } else if wanted & wanted.wrapping_sub(1) == 0 {
             let slot = wanted.trailing_zeros() as usize % WIDTH;
             (self.stack.children[bottom], self.stack.rays[bottom]) = (node.children[slot], mask);
             self.top += usize::from(wanted != 0);
@@ -294,13 +365,15 @@ impl Walk {
 
     /// Tests the rays in `rest` against a leaf.
     #[inline(always)]
+    #[allow(clippy::too_many_arguments)] // the state of one loop
     fn leaf<K: Kernel, S: Statistics>(
         &mut self,
         kernel: K,
         bvh: &Bvh,
         leaf: usize,
         mut rest: u32,
-        goal: &mut impl Goal,
+        walk: usize,
+        goal: &mut impl FanGoal,
         stats: &mut S,
     ) {
         let block = &bvh.blocks[leaf];
@@ -311,43 +384,72 @@ impl Walk {
             let mask = kernel.fan_filter(&planes, &self.fan, r);
             stats.triangles(block.len() as u32);
             stats.uncertain(mask.uncertain.count_ones());
-            if mask.certain | mask.uncertain != 0 && goal.leaf(bvh, leaf, self.first + r, mask) {
+            let ray = FanRay { index: self.first + r, walk, column: r };
+            if mask.certain | mask.uncertain != 0 && goal.leaf(ray, leaf as u32, block, mask) {
                 self.alive &= !(1 << r);
             }
         }
     }
 }
 
-/// Fans that take turns, so that one works while others wait for memory.
-const TURNS: usize = 8;
+/// Walks a ray that no fan takes, because it is not valid or of extreme size, from leaf to leaf.
+fn alone<K: Kernel, S: Statistics>(
+    kernel: K,
+    bvh: &Bvh,
+    index: usize,
+    ray: &Ray,
+    walk: usize,
+    goal: &mut impl FanGoal,
+    stats: &mut S,
+) {
+    goal.start(walk, index, 1, &FanRays::default());
+    if let Some(prepared) = Prepared::new(ray) {
+        let mut leaves = traversal::Walk::new(kernel, &bvh.tree, &prepared.node, stats);
+        while let Some(leaf) = leaves.next(stats) {
+            let mask = traversal::filter(kernel, bvh, leaf, &prepared.block, stats);
+            let at = FanRay { index, walk, column: 0 };
+            if mask.certain | mask.uncertain != 0 && goal.leaf(at, leaf as u32, &bvh.blocks[leaf], mask) {
+                break;
+            }
+        }
+    }
+    goal.finish(walk);
+}
 
-/// Answers rays by fans where they share an origin; the others are left to `packet`, [`PACKET`] at most at a time.
+/// Fans that take turns, so that one works while others wait for memory.
+pub const WALKS: usize = 8;
+
+/// Answers rays by fans where at least `smallest` share an origin; the others are left to `packet`, [`PACKET`] at most at a
+/// time.
 #[inline(always)]
-pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
+pub(crate) fn answer<K: Kernel, S: Statistics, G: FanGoal>(
     kernel: K,
     bvh: &Bvh,
     rays: &[Ray],
+    smallest: usize,
     goal: &mut G,
     mut packet: impl FnMut(&mut G, Range<usize>, &mut S),
     stats: &mut S,
 ) {
     // Made when first needed: a single fan shouldn't pay for all.
-    let mut walks: Vec<Walk> = Vec::with_capacity(TURNS);
-    let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
+    let mut walks: Vec<Walk> = Vec::with_capacity(WALKS);
+    let mut turns: [usize; WALKS] = std::array::from_fn(|i| i);
 
     let mut busy = 0;
-    let mut parts = Parts::new(rays);
+    let mut parts = Parts::new(rays, smallest);
     loop {
-        while busy < TURNS {
+        while busy < WALKS {
             match parts.next() {
                 Some(Part::Fan(range)) => {
                     if walks.len() == busy {
                         walks.push(Walk::new());
                     }
-                    let fit = walks[turns[busy]].start(range.start, &rays[range.clone()], &bvh.tree.bounds);
+                    let walk = turns[busy];
+                    let fit = walks[walk].start(range.start, &rays[range.clone()], &bvh.tree.bounds);
                     for index in range.clone().filter(|index| fit >> (index - range.start) & 1 == 0) {
-                        goal.alone(kernel, bvh, index, stats);
+                        alone(kernel, bvh, index, &rays[index], walk, goal, stats);
                     }
+                    goal.start(walk, range.start, fit, &walks[walk].fan);
                     busy += 1;
                 }
                 Some(Part::Packet(range)) => packet(goal, range, stats),
@@ -359,9 +461,11 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
         }
         let mut turn = 0;
         while turn < busy {
-            if walks[turns[turn]].step(kernel, bvh, goal, stats) {
+            let walk = turns[turn];
+            if walks[walk].step(kernel, bvh, walk, goal, stats) {
                 turn += 1;
             } else {
+                goal.finish(walk);
                 busy -= 1;
                 turns.swap(turn, busy);
             }
@@ -375,54 +479,51 @@ pub(crate) struct AnyHit<'a> {
     pub(crate) hits: &'a mut [bool],
 }
 
-impl Goal for AnyHit<'_> {
+impl FanGoal for AnyHit<'_> {
     #[inline(always)]
-    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool {
+    fn leaf(&mut self, FanRay { index, .. }: FanRay, _: u32, block: &TriangleBlock, mask: BlockMask) -> bool {
         let mut hit = mask.certain != 0;
         let mut open = mask.uncertain;
         while open != 0 && !hit {
             let lane = open.trailing_zeros() as usize % LANES;
             open &= open - 1;
-            hit = segment_hits_triangle(&self.rays[index], bvh.blocks[leaf].get(lane));
+            hit = segment_hits_triangle(&self.rays[index], block.get(lane));
         }
         self.hits[index] = hit;
         hit
-    }
-
-    #[inline(always)]
-    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S) {
-        self.hits[index] = traversal::any_hit(kernel, bvh, &self.rays[index], stats);
     }
 }
 
 /// The sum of what all triangles hit let through.
 pub(crate) struct Transmittance<'a, F> {
+    pub(crate) bvh: &'a Bvh,
     pub(crate) rays: &'a [Ray],
     /// Clear at the start.
     pub(crate) sums: &'a mut [OpticalDepth],
     pub(crate) depth_of: &'a F,
 }
 
-impl<F: Fn(u32) -> OpticalDepth> Goal for Transmittance<'_, F> {
+impl<F: Fn(u32) -> OpticalDepth> FanGoal for Transmittance<'_, F> {
     #[inline(always)]
-    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool {
+    fn leaf(
+        &mut self,
+        FanRay { index, .. }: FanRay,
+        leaf: u32,
+        block: &TriangleBlock,
+        mask: BlockMask,
+    ) -> bool {
         let mut open = mask.certain | mask.uncertain;
         let mut sum = self.sums[index];
         while open != 0 {
             let lane = open.trailing_zeros() as usize % LANES;
             open &= open - 1;
             let certain = mask.certain >> lane & 1 == 1;
-            if certain || segment_hits_triangle(&self.rays[index], bvh.blocks[leaf].get(lane)) {
-                sum += (self.depth_of)(bvh.prim(leaf, lane));
+            if certain || segment_hits_triangle(&self.rays[index], block.get(lane)) {
+                sum += (self.depth_of)(self.bvh.prim(leaf as usize, lane));
             }
         }
         let opaque = sum.is_opaque();
         self.sums[index] = if opaque { OpticalDepth::OPAQUE } else { sum };
         opaque
-    }
-
-    #[inline(always)]
-    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S) {
-        self.sums[index] = traversal::transmittance(kernel, bvh, &self.rays[index], self.depth_of, stats);
     }
 }

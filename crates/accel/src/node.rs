@@ -13,6 +13,15 @@ pub(crate) const MAX_LEVELS: usize = 40;
 /// Marks a child that is a leaf; the other bits are the index of a leaf or node.
 pub(crate) const LEAF: u32 = 1 << 31;
 
+/// What a node keeps for the owner of the hierarchy: it lies in the node's cache lines. All 0 after a build.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Note {
+    /// For the whole node.
+    pub index: u32,
+    /// For each slot.
+    pub marks: [u8; WIDTH],
+}
+
 /// Boxes and references of eight children, in two cache lines.
 ///
 /// Boxes are rounded outwards to a grid of 256 planes an axis over all of them. They only have to hold what is inside, and
@@ -30,6 +39,7 @@ pub(crate) struct Node {
     pub(crate) step: [f32; 3],
     /// One bit for each slot in use.
     pub(crate) used: u32,
+    pub(crate) note: Note,
 }
 
 /// `x >= 0` with its significand rounded up to 16 bits; at least the smallest normal number, unless 0.
@@ -42,8 +52,14 @@ fn coarsen(x: f64) -> f32 {
 }
 
 impl Node {
-    pub(crate) const EMPTY: Self =
-        Self { children: [u32::MAX; WIDTH], grid: [[0; WIDTH]; 6], base: [0.0; 3], step: [0.0; 3], used: 0 };
+    pub(crate) const EMPTY: Self = Self {
+        children: [u32::MAX; WIDTH],
+        grid: [[0; WIDTH]; 6],
+        base: [0.0; 3],
+        step: [0.0; 3],
+        used: 0,
+        note: Note { index: 0, marks: [0; WIDTH] },
+    };
 
     /// Plane `number` of an axis, rounded once.
     #[inline]

@@ -14,8 +14,8 @@ use umbrage_geom::{
     kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
 };
 
-/// Most rays that walk together.
-pub(crate) const FAN: usize = 32;
+/// Most rays of one origin that walk together.
+pub const FAN: usize = 32;
 
 /// A valid ray prepared for boxes of nodes.
 #[derive(Clone, Copy, Debug)]
@@ -139,6 +139,17 @@ pub(crate) trait Kernel: Copy {
         ahead: &Ahead,
         left: u32,
         wanted: u32,
+        stack: &mut Stack,
+        top: usize,
+    ) -> usize;
+
+    /// The same where `columns` has the rays that enter each child.
+    fn push(
+        self,
+        children: &[u32; WIDTH],
+        rows: &Rows,
+        ahead: &Ahead,
+        columns: &[u32; WIDTH],
         stack: &mut Stack,
         top: usize,
     ) -> usize;

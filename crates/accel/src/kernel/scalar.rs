@@ -94,13 +94,26 @@ impl Kernel for Scalar {
         left: u32,
         wanted: u32,
         stack: &mut Stack,
-        mut top: usize,
+        top: usize,
     ) -> usize {
         let mut columns = [0; WIDTH];
         for r in (0..FAN).filter(|r| left >> r & 1 == 1) {
             let entered = self.fan_mask(rows, rays, r) & wanted;
             columns.iter_mut().enumerate().for_each(|(i, column)| *column |= (entered >> i & 1) << r);
         }
+        self.push(children, rows, ahead, &columns, stack, top)
+    }
+
+    #[inline]
+    fn push(
+        self,
+        children: &[u32; WIDTH],
+        rows: &Rows,
+        ahead: &Ahead,
+        columns: &[u32; WIDTH],
+        stack: &mut Stack,
+        mut top: usize,
+    ) -> usize {
         let key = |i: usize| {
             let middle = [0, 1, 2].map(|axis| rows.0[2 * axis][i] + rows.0[2 * axis + 1][i]);
             let [x, y, z] = [0, 1, 2].map(|axis| ahead.direction[axis] * middle[axis]);

@@ -172,6 +172,21 @@ fn fan_push(
         let entered = _mm256_castps_si256(fan_slabs(rows, rays, r as usize % FAN));
         columns = _mm256_or_si256(columns, _mm256_and_si256(entered, bit));
     }
+    push(children, rows, ahead, columns, wanted, stack, top)
+}
+
+/// Pushes the `wanted` children, `columns` being the rays that enter each.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,popcnt")]
+fn push(
+    children: &[u32; WIDTH],
+    rows: &Rows,
+    ahead: &Ahead,
+    columns: __m256i,
+    wanted: u32,
+    stack: &mut Stack,
+    top: usize,
+) -> usize {
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     let asked =
         _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32(wanted as i32), lanes), _mm256_set1_epi32(1));
@@ -290,6 +305,23 @@ impl Kernel for Avx2 {
     ) -> usize {
         // SAFETY: `self` proves the target features.
         unsafe { fan_push(children, rows, rays, ahead, left, wanted, stack, top) }
+    }
+
+    #[inline(always)]
+    fn push(
+        self,
+        children: &[u32; WIDTH],
+        rows: &Rows,
+        ahead: &Ahead,
+        columns: &[u32; WIDTH],
+        stack: &mut Stack,
+        top: usize,
+    ) -> usize {
+        // SAFETY: `self` proves the target features; the load is of eight integers.
+        unsafe {
+            let columns = _mm256_loadu_si256(columns.as_ptr().cast());
+            push(children, rows, ahead, columns, u32::MAX, stack, top)
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{
     ABOVE_SLOPE, BlockMask, BlockRay, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST, Lanes, SHEAR_ERROR,
-    TriangleBlock,
+    TriangleBlock, Work,
 };
 use std::arch::x86_64::*;
 
@@ -19,6 +19,17 @@ impl Avx2 {
             && is_x86_feature_detected!("lzcnt")
             && is_x86_feature_detected!("popcnt");
         all.then_some(Self(()))
+    }
+
+    /// Runs `work` compiled for these instructions.
+    #[inline]
+    pub(super) fn run<W: Work>(self, work: W) -> W::Output {
+        #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
+        fn shell<W: Work>(work: W) -> W::Output {
+            work.run()
+        }
+        // SAFETY: `self` proves the target features.
+        unsafe { shell(work) }
     }
 
     /// As [`TriangleBlock::above`], up to rounding.

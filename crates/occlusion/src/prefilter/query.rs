@@ -1,17 +1,26 @@
 //! From rays with solid angles to what a walk needs of them, several at a time.
 
-use super::{Blend, ConeRay, Directions, Query, SegmentEnds, kernel::Prepared};
+use super::{Blend, ConeRay, Directions, Query, SegmentEnds};
 use umbrage_geom::{
     glam::Vec3,
     sampling::{hash, unit},
 };
 
+impl Query {
+    /// What both terms of the crossed fraction of a node are raised by: hardly anything, or so much that it becomes 1.
+    #[inline(always)]
+    pub(crate) fn raise(&self) -> f32 {
+        match self.ends {
+            SegmentEnds::Fraction => 1.0 / (1u128 << 100) as f32,
+            SegmentEnds::Whole => (1u128 << 100) as f32,
+        }
+    }
+}
+
 /// Up to `N` rays, one a column. Written as loops over columns, so that they become SIMD.
 pub(crate) struct Cones<const N: usize> {
     /// A child ends a ray when its squared radius over its squared distance is less than this; 0 for never.
     pub(crate) kappa: [f32; N],
-    /// See [`Prepared::raise`].
-    pub(crate) raise: f32,
     /// Cell of directions that opacities are looked up in.
     pub(crate) cells: [u32; N],
     direction: [[f32; N]; 3],
@@ -21,7 +30,6 @@ impl<const N: usize> Cones<N> {
     /// The first `N` of `cones`.
     #[inline(always)]
     pub(crate) fn new(query: &Query, directions: Directions, cones: &[ConeRay]) -> Self {
-        let raise = if query.ends == SegmentEnds::Whole { Prepared::WHOLE } else { Prepared::FRACTION };
         let (mut d, mut angle) = ([[0f32; N]; 3], [0f32; N]);
         let mut bits = [0u32; N];
         for (i, cone) in cones.iter().take(N).enumerate() {
@@ -53,7 +61,7 @@ impl<const N: usize> Cones<N> {
         for i in 0..N {
             cells[i] = directions.cell_of([moved[0][i], moved[1][i], moved[2][i]]);
         }
-        Self { kappa, raise, cells, direction: d }
+        Self { kappa, cells, direction: d }
     }
 
     /// Direction of ray `i`, as given.
