@@ -5,7 +5,7 @@
 
 use crate::{
     Bvh, Statistics,
-    kernel::{Ahead, FAN, Kernel, Prepared, Rows, Stack},
+    kernel::{Ahead, Columns, FAN, Kernel, Prepared, Rows, Stack},
     node::{LEAF, Node, Note, WIDTH},
     packet::PACKET,
     traversal,
@@ -195,33 +195,23 @@ pub struct FanRay {
 /// What is asked about each ray of a batch. Everything that is called often should be `#[inline(always)]` and written as
 /// loops over arrays: it is then compiled with the instructions of the walk.
 pub trait FanGoal {
+    /// Whether rays may end at nodes.
+    const ENDS: bool = false;
+
     /// Rays of the batch start together: the one in column `i` of `rays` is `first + i`. Bit `i` of `fit` is set for those that
-    /// the walk answers.
+    /// the walk answers. `limits` are 0 and say where rays end, if they may: at a child whose squared radius, times its mark
+    /// in 255ths ([`Note`]), over squared distance is less. A mark of 0 ends none.
     #[inline(always)]
-    fn start(&mut self, walk: usize, first: usize, fit: u32, rays: &FanRays<FAN>) {
-        let _ = (walk, first, fit, rays);
+    fn start(&mut self, walk: usize, first: usize, fit: u32, limits: &mut [f32; FAN]) {
+        let _ = (walk, first, fit, limits);
     }
 
-    /// Slots of a node where some ray of the walk may end, instead of entering them. `rows` are the planes of their boxes
-    /// (smallest x, largest x, smallest y, ..) relative to the rays' origin.
+    /// Ends a ray at some children of a node, a bit each in `slots`, instead of entering them. `covered` is the part of its way
+    /// through each that the segment covers, 0 for others. Whether the ray needs no more.
     #[inline(always)]
-    fn may_end(&mut self, walk: usize, note: &Note, rows: &[[f32; WIDTH]; 6]) -> u32 {
-        let _ = (walk, note, rows);
-        0
-    }
-
-    /// Ends what ends at a node, after [`Self::may_end`]: of the rays `left` (a bit each) writes for each slot those that
-    /// enter it, a bit each; returns the rays that need no more.
-    #[inline(always)]
-    fn end<S: Statistics>(
-        &mut self,
-        at: FanNode<'_>,
-        left: u32,
-        entered: &mut [u32; WIDTH],
-        stats: &mut S,
-    ) -> u32 {
-        let _ = (at, left, entered, stats);
-        0
+    fn end(&mut self, ray: FanRay, note: &Note, slots: u32, covered: &[f32; WIDTH]) -> bool {
+        let _ = (ray, note, slots, covered);
+        false
     }
 
     /// Takes the triangles of a leaf that a ray hits for certain, and those that the exact predicate has to decide.
@@ -233,23 +223,6 @@ pub trait FanGoal {
     fn finish(&mut self, walk: usize) {
         let _ = walk;
     }
-}
-
-/// A node as the rays of one fan see it.
-#[derive(Clone, Copy, Debug)]
-pub struct FanNode<'a> {
-    /// Which of the fans that take turns.
-    pub walk: usize,
-    /// The node.
-    pub index: u32,
-    /// What it keeps for its owner.
-    pub note: &'a Note,
-    /// Planes of its boxes relative to the origin.
-    pub rows: &'a [[f32; WIDTH]; 6],
-    /// The rays.
-    pub rays: &'a FanRays<FAN>,
-    /// Slots in use; what others say means nothing.
-    pub used: u32,
 }
 
 /// One fan on its way.
@@ -266,6 +239,9 @@ struct Walk {
     narrow: bool,
     /// Index of the first ray.
     first: usize,
+    /// Where each ray ends, and the largest of these; for goals that end rays.
+    limits: [f32; FAN],
+    widest: f32,
 }
 
 impl Walk {
@@ -274,7 +250,19 @@ impl Walk {
         let envelope = Envelope::new(&fan, 0, 0);
         let (stack, origin) = (Stack::new(), [0.0; 3]);
         let ahead = Ahead::new(origin, [origin; 2]);
-        Self { fan, stack, top: 0, alive: 0, origin, ahead, envelope, narrow: false, first: 0 }
+        Self {
+            fan,
+            stack,
+            top: 0,
+            alive: 0,
+            origin,
+            ahead,
+            envelope,
+            narrow: false,
+            first: 0,
+            limits: [0.0; FAN],
+            widest: 0.0,
+        }
     }
 
     /// Takes up `rays` of one origin; returns those that it can answer.
@@ -300,12 +288,12 @@ impl Walk {
 
     /// Visits one node or leaf; false if there was none left. `walk` is its own number.
     #[inline(always)]
-    fn step<K: Kernel, S: Statistics>(
+    fn step<K: Kernel, S: Statistics, G: FanGoal>(
         &mut self,
         kernel: K,
         bvh: &Bvh,
         walk: usize,
-        goal: &mut impl FanGoal,
+        goal: &mut G,
         stats: &mut S,
     ) -> bool {
         let (child, mask) = loop {
@@ -329,13 +317,8 @@ impl Walk {
         if self.narrow && mask.count_ones() >= WIDE {
             wanted &= self.envelope.mask(kernel, &rows);
         }
-        if wanted & goal.may_end(walk, &node.note, &rows.0) != 0 {
-            stats.node(node.len() as u32);
-            let mut columns = [0; WIDTH];
-            let (note, rows, rays, used) = (&node.note, &rows, &self.fan, node.used);
-            let at = FanNode { walk, index: child, note, rows: &rows.0, rays, used };
-            self.alive &= !goal.end(at, mask, &mut columns, stats);
-            self.top = kernel.push(&node.children, rows, &self.ahead, &columns, &mut self.stack, bottom);
+        if G::ENDS && self.ends(kernel, node, &rows, child, wanted, mask, walk, goal, stats) {
+            // Whatever rays enter is on the stack.
         } else if wanted & wanted.wrapping_sub(1) == 0 {
             let slot = wanted.trailing_zeros() as usize % WIDTH;
             (self.stack.children[bottom], self.stack.rays[bottom]) = (node.children[slot], mask);
@@ -360,6 +343,43 @@ impl Walk {
             let block = bvh.blocks.as_ptr().wrapping_add(index).cast::<u8>();
             kernel.prefetch(if leaf { block } else { node }, size_of::<Node>());
         }
+        true
+    }
+
+    /// Ends rays at children of a node and pushes the others; false if none of the `wanted` is small enough for any ray.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments)] // the state of one loop
+    fn ends<K: Kernel, S: Statistics>(
+        &mut self,
+        kernel: K,
+        node: &Node,
+        rows: &Rows,
+        index: u32,
+        wanted: u32,
+        mut rest: u32,
+        walk: usize,
+        goal: &mut impl FanGoal,
+        stats: &mut S,
+    ) -> bool {
+        let sizes = kernel.sizes(rows, &node.note);
+        if wanted & kernel.smaller(&sizes, self.widest) == 0 {
+            return false;
+        }
+        stats.node(node.len() as u32);
+        let (mut columns, mut covered) = (Columns::NONE, [0.0; WIDTH]);
+        while rest != 0 {
+            let r = rest.trailing_zeros() as usize % FAN;
+            rest &= rest - 1;
+            let slots =
+                kernel.enter_or_end(rows, &sizes, &self.fan, r, self.limits[r], &mut columns, &mut covered);
+            if slots != 0 {
+                stats.ends(index, slots);
+                let ray = FanRay { index: self.first + r, walk, column: r };
+                self.alive &= !(u32::from(goal.end(ray, &node.note, slots, &covered)) << r);
+            }
+        }
+        self.top =
+            kernel.push(&node.children, rows, &self.ahead, &columns, node.used, &mut self.stack, self.top);
         true
     }
 
@@ -402,7 +422,7 @@ fn alone<K: Kernel, S: Statistics>(
     goal: &mut impl FanGoal,
     stats: &mut S,
 ) {
-    goal.start(walk, index, 1, &FanRays::default());
+    goal.start(walk, index, 1, &mut [0.0; FAN]);
     if let Some(prepared) = Prepared::new(ray) {
         let mut leaves = traversal::Walk::new(kernel, &bvh.tree, &prepared.node, stats);
         while let Some(leaf) = leaves.next(stats) {
@@ -449,7 +469,12 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: FanGoal>(
                     for index in range.clone().filter(|index| fit >> (index - range.start) & 1 == 0) {
                         alone(kernel, bvh, index, &rays[index], walk, goal, stats);
                     }
-                    goal.start(walk, range.start, fit, &walks[walk].fan);
+                    let Walk { limits, widest, .. } = &mut walks[walk];
+                    if G::ENDS {
+                        *limits = [0.0; FAN];
+                    }
+                    goal.start(walk, range.start, fit, limits);
+                    *widest = if G::ENDS { limits.iter().fold(0.0, |a, &b| larger(a, b)) } else { 0.0 };
                     busy += 1;
                 }
                 Some(Part::Packet(range)) => packet(goal, range, stats),

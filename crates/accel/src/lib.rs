@@ -22,7 +22,7 @@ pub use binary::{BinaryNode, BinaryTree};
 pub use boxes::BoxBvh;
 pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
-pub use fan::{FanGoal, FanNode, FanRay, WALKS};
+pub use fan::{FanGoal, FanRay, WALKS};
 pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
 pub use kdtree::KdTree;
 pub use kernel::{BackEnd, FAN};

@@ -8,7 +8,7 @@ pub(crate) use scalar::Scalar;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use umbrage_geom::kernel::x86::Avx2;
 
-use crate::node::{MAX_LEVELS, Node, WIDTH};
+use crate::node::{MAX_LEVELS, Node, Note, WIDTH};
 use umbrage_geom::{
     Ray, SlabRay,
     kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
@@ -52,6 +52,27 @@ impl Prepared {
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Rows(pub(crate) [[f32; WIDTH]; 6]);
+
+/// How large children look.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub(crate) struct Sizes(pub(crate) [f32; WIDTH]);
+
+/// For each child the rays that enter it, a bit each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C, align(32))]
+pub(crate) struct Columns(pub(crate) [u32; WIDTH]);
+
+impl Columns {
+    /// No ray enters.
+    pub(crate) const NONE: Self = Self([0; WIDTH]);
+}
+
+/// What both terms of the covered part of a way are raised by, so that a way of length 0 is covered.
+const RAISE: f32 = 1.0 / (1u128 << 100) as f32;
+
+/// The share that mark 1 stands for.
+const SHARE: f32 = 1.0 / 255.0;
 
 /// How far ahead of a fan something is.
 #[derive(Clone, Copy, Debug)]
@@ -143,13 +164,35 @@ pub(crate) trait Kernel: Copy {
         top: usize,
     ) -> usize;
 
-    /// The same where `columns` has the rays that enter each child.
+    /// How large the children look from the fan's origin: squared radius times the share that is their mark in 255ths, over
+    /// squared distance; infinite or not a number where the mark is 0.
+    fn sizes(self, rows: &Rows, note: &Note) -> Sizes;
+
+    /// Children that look smaller than `limit`, a bit each.
+    fn smaller(self, sizes: &Sizes, limit: f32) -> u32;
+
+    /// Notes the children that ray `r` of a fan enters, those that look smaller than `limit` aside: they end it. Returns
+    /// these, a bit each, and writes how much of its way through them the segment covers, 0 for others.
+    #[allow(clippy::too_many_arguments)] // the state of one loop
+    fn enter_or_end(
+        self,
+        rows: &Rows,
+        sizes: &Sizes,
+        rays: &FanRays<FAN>,
+        r: usize,
+        limit: f32,
+        columns: &mut Columns,
+        covered: &mut [f32; WIDTH],
+    ) -> u32;
+
+    /// The same as [`Self::fan_push`] where `columns` has the rays that enter each child.
     fn push(
         self,
         children: &[u32; WIDTH],
         rows: &Rows,
         ahead: &Ahead,
-        columns: &[u32; WIDTH],
+        columns: &Columns,
+        wanted: u32,
         stack: &mut Stack,
         top: usize,
     ) -> usize;

@@ -84,6 +84,12 @@ fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
+/// All bits, if `x`: masks and separate loops, since selections between values become branches, one a lane.
+#[inline(always)]
+fn all_if(x: bool) -> u32 {
+    if x { u32::MAX } else { 0 }
+}
+
 /// Part of `x` after the point, for numbers from 0.
 #[inline(always)]
 fn fraction(x: f32) -> f32 {
@@ -240,13 +246,13 @@ impl<T: Cells> Measure<'_, T> {
                 }
                 let (mut hit, mut any) = ([0u32; LINES], 0);
                 for i in 0..LINES {
-                    hit[i] = if entry[i] <= exit[i] { within[i] } else { 0 };
+                    hit[i] = all_if(entry[i] <= exit[i]) & within[i];
                     any |= hit[i];
                 }
                 if mask >> slot & 1 == 1 {
                     let depth = self.table.depth(cell, start, slot);
                     for i in 0..LINES {
-                        met[i] += if hit[i] != 0 { depth } else { 0.0 };
+                        met[i] += f32::from_bits(depth.to_bits() & hit[i]);
                     }
                 } else if any != 0 {
                     stack.push((node.children()[slot], hit));
@@ -281,11 +287,11 @@ impl<T: Cells> Measure<'_, T> {
                 let volume = e[0] * h[0] + e[1] * h[1] + e[2] * h[2];
                 let s = [points[0][i] - a[0], points[1][i] - a[1], points[2][i] - a[2]];
                 let q = [s[1] * e[2] - s[2] * e[1], s[2] * e[0] - s[0] * e[2], s[0] * e[1] - s[1] * e[0]];
-                let sign = if volume < 0.0 { -1.0 } else { 1.0 };
+                let sign = 1f32.copysign(volume);
                 let u = (s[0] * h[0] + s[1] * h[1] + s[2] * h[2]) * sign;
                 let v = (d[0][i] * q[0] + d[1][i] * q[1] + d[2][i] * q[2]) * sign;
-                let inside = (u >= 0.0) & (v >= 0.0) & (u + v < volume * sign) & (within[i] != 0);
-                met[i] += if inside { depth } else { 0.0 };
+                let inside = all_if(u >= 0.0) & all_if(v >= 0.0) & all_if(u + v < volume * sign) & within[i];
+                met[i] += f32::from_bits(depth.to_bits() & inside);
             }
         }
     }

@@ -1,21 +1,10 @@
 //! From rays with solid angles to what a walk needs of them, several at a time.
 
-use super::{Blend, ConeRay, Directions, Query, SegmentEnds};
+use super::{Blend, ConeRay, Directions, Query};
 use umbrage_geom::{
     glam::Vec3,
     sampling::{hash, unit},
 };
-
-impl Query {
-    /// What both terms of the crossed fraction of a node are raised by: hardly anything, or so much that it becomes 1.
-    #[inline(always)]
-    pub(crate) fn raise(&self) -> f32 {
-        match self.ends {
-            SegmentEnds::Fraction => 1.0 / (1u128 << 100) as f32,
-            SegmentEnds::Whole => (1u128 << 100) as f32,
-        }
-    }
-}
 
 /// Up to `N` rays, one a column. Written as loops over columns, so that they become SIMD.
 pub(crate) struct Cones<const N: usize> {

@@ -149,8 +149,9 @@ const HALF: f32 = 8.0 / 196.0;
 /// Optical depth of a half byte, bits: squares up to 8, and then opaque.
 #[inline(always)]
 fn half_depth(x: f32) -> f32 {
-    let squared = x * x * HALF;
-    if x > 14.5 { OPAQUE } else { squared }
+    // Without a selection, which would become a branch: 15 is 1 more than 14.
+    let last = if x > 14.0 { x - 14.0 } else { 0.0 };
+    x * x * HALF + last * OPAQUE
 }
 
 impl Halves {
