@@ -11,7 +11,7 @@ use std::time::Instant;
 use umbrage_accel::Statistics;
 use umbrage_geom::{Ray, sampling::RandomStream};
 use umbrage_occlusion::prefilter::{
-    CellSampling, ConeRay, Correlation, PrefilterOptions, Prefiltered, Query, SegmentEnds, Storage,
+    Blend, CellSampling, ConeRay, Correlation, PrefilterOptions, Prefiltered, Query, SegmentEnds, Storage,
     published::Published,
 };
 use umbrage_scene::generate::{ParameterValue, Parameters, generate};
@@ -46,15 +46,11 @@ fn answers(scene: &Prefiltered, cones: &[ConeRay], query: &Query) -> Vec<f32> {
 pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
     const SIDE: u32 = 256;
     let (scene, _) = case.prefiltered(&PrefilterOptions::default())?;
-    // The receiver in the deepest half shadow.
-    let half = |i: &usize| (case.truth[*i] - 0.5).abs();
-    let grounded = (0..case.receivers.len()).filter(|&i| case.receivers[i].on_ground);
-    let Some(receiver) = grounded.min_by(|a, b| half(a).total_cmp(&half(b))) else { return Ok(()) };
+    let Some((receiver, solid_angle)) = case.half_shadow() else { return Ok(()) };
     let mut cones = Vec::new();
     case.fan(receiver, SIDE * SIDE, 1, &mut cones);
     // Each ray of a picture stands for a hundredth of the light, as samples would.
-    let whole = cones[0].solid_angle * (SIDE * SIDE) as f32;
-    cones.iter_mut().for_each(|c| c.solid_angle = whole / 100.0);
+    cones.iter_mut().for_each(|c| c.solid_angle = solid_angle);
     for (name, query) in
         [("bvh", Query::EXACT), ("prefilter", Query::new(2.0)?), ("prefilter", Query::new(0.1)?)]
     {
@@ -90,7 +86,7 @@ pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
 }
 
 /// Levels at which rays end: the root's children are on level 1.
-struct Levels {
+pub struct Levels {
     of_node: Vec<u32>,
     count: usize,
     ends: u64,
@@ -98,13 +94,23 @@ struct Levels {
 }
 
 impl Levels {
-    fn new(scene: &Prefiltered) -> Self {
+    pub fn new(scene: &Prefiltered) -> Self {
         let levels = scene.levels();
         let mut of_node = vec![0; levels.iter().map(Vec::len).sum()];
         for (level, nodes) in levels.iter().enumerate() {
             nodes.iter().for_each(|&node| of_node[node as usize] = level as u32 + 1);
         }
         Self { of_node, count: levels.len(), ends: 0, sum: 0 }
+    }
+
+    /// Forgets what was counted.
+    pub fn restart(&mut self) {
+        (self.ends, self.sum) = (0, 0);
+    }
+
+    /// Mean level, over the number of levels; `None` if no ray ended at a node.
+    pub fn mean(&self) -> Option<f32> {
+        (self.ends > 0).then(|| self.sum as f32 / self.ends as f32 / self.count as f32)
     }
 }
 
@@ -161,6 +167,7 @@ pub fn particles(triangles: usize, width: u32, output: &mut Output) -> Result<()
         let mesh = generate("particles", &parameters)?.mesh;
         let source = Source {
             name: if mode == "block" { "particles-block" } else { "particles-transmit" },
+            generator: "particles",
             triangles,
             alpha: 1.0,
             workload: Workload::Shadow,
@@ -201,6 +208,9 @@ pub fn bias(case: &Case, output: &mut Output) -> Result<()> {
         ("centre directions", default.with_sampling(CellSampling::Center), query),
         ("whole crossings", default, whole),
         ("any angle", default, query.with_widest(1e3)),
+        ("N_C = 4", default.with_directions(4), query),
+        ("N_C = 6", default.with_directions(6), query),
+        ("no blending", default, query.with_blend(Blend::None)),
         ("K = 0", height(0.0), query),
         ("K = 5", height(5.0), query),
         ("no directions", default.with_storage(Storage::Average), query),

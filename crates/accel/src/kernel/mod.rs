@@ -255,3 +255,63 @@ impl BackEnd {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use umbrage_geom::Aabb;
+
+    fn coordinate() -> impl Strategy<Value = f32> {
+        prop_oneof![
+            4 => -2f32..2.0,
+            2 => (-4i8..5).prop_map(|i| f32::from(i) * 0.5),
+            1 => prop::sample::select(vec![-0.0, 1e-30f32, 1e12]),
+        ]
+    }
+
+    fn point() -> impl Strategy<Value = [f32; 3]> {
+        [coordinate(), coordinate(), coordinate()]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+        #[test]
+        fn back_ends_end_rays_alike(
+            boxes in prop::collection::vec((point(), point(), any::<u8>()), 1..=8), o in point(), d in point(),
+            limit in prop::sample::select(vec![0f32, 0.01, 1.0, f32::INFINITY]),
+            tfar in prop::sample::select(vec![0.5f32, 1.0, f32::INFINITY]),
+        ) {
+            let mut node = Node::EMPTY;
+            let aabbs: Vec<Aabb> = boxes.iter().map(|&(a, b, _)| Aabb::from_points(&[a, b])).collect();
+            node.set_boxes(&aabbs);
+            node.note.marks.iter_mut().zip(&boxes).for_each(|(mark, b)| *mark = b.2);
+            let mut rays = FanRays::<FAN>::default();
+            let r = 3;
+            if rays.prepare(0, &[Ray::new(o, d).with_tfar(tfar); 16]) == 0 {
+                return Ok(());
+            }
+            let rows = Scalar.rows(&node, o);
+            let sizes = Scalar.sizes(&rows, &node.note);
+            let (mut columns, mut covered) = (Columns::NONE, [0.0; WIDTH]);
+            let ends = Scalar.enter_or_end(&rows, &sizes, &rays, r, limit, &mut columns, &mut covered);
+            prop_assert!(ends & !Scalar.smaller(&sizes, limit) == 0);
+            for i in 0..boxes.len() {
+                prop_assert_eq!(ends >> i & 1 == 1, covered[i] > 0.0);
+                prop_assert!((0.0..=1.0).contains(&covered[i]));
+                let entered = columns.0[i] == 1 << r;
+                prop_assert_eq!(ends >> i & 1 == 1 || entered, Scalar.fan_mask(&rows, &rays, r) >> i & 1 == 1);
+                prop_assert!(boxes[i].2 != 0 || ends >> i & 1 == 0);
+            }
+            #[cfg(target_arch = "x86_64")]
+            if let Some(avx2) = Avx2::detect() {
+                let same = avx2.sizes(&rows, &node.note);
+                prop_assert_eq!(avx2.smaller(&same, limit), Scalar.smaller(&sizes, limit));
+                let (mut others, mut part) = (Columns::NONE, [0.0; WIDTH]);
+                prop_assert_eq!(avx2.enter_or_end(&rows, &same, &rays, r, limit, &mut others, &mut part), ends);
+                prop_assert_eq!(others, columns);
+                prop_assert!(ends == 0 || part.map(f32::to_bits) == covered.map(f32::to_bits));
+            }
+        }
+    }
+}

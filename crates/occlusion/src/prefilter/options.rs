@@ -178,8 +178,8 @@ pub enum SegmentEnds {
 /// How opacities of neighbouring levels and directions are blended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Blend {
-    /// At random: each ray has a threshold up to twice larger or smaller, and a direction moved within a cell. The mean over
-    /// rays is that of interpolation, at no cost.
+    /// At random: each ray has a threshold up to twice larger or smaller, and a direction moved by up to an eighth of a cell.
+    /// The mean over rays is that of interpolation (between directions only near the borders of cells), at no cost.
     #[default]
     Random,
     /// Not at all: the nearest direction, and one threshold.

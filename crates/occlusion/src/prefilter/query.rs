@@ -6,6 +6,10 @@ use umbrage_geom::{
     sampling::{hash, unit},
 };
 
+/// Part of a cell that directions are moved by, in all. A whole cell would be bilinear interpolation, which blurs what cells
+/// blur already: bamboo under light from above was 1.3 % too bright with it, 0.5 % without, 0.7 % with half a cell.
+const JITTER: f32 = 0.25;
+
 /// Up to `N` rays, one a column. Written as loops over columns, so that they become SIMD.
 pub(crate) struct Cones<const N: usize> {
     /// A child ends a ray when its squared radius over its squared distance is less than this; 0 for never.
@@ -30,7 +34,7 @@ impl<const N: usize> Cones<N> {
         let widest = query.widest * query.widest;
         let random = query.blend == Blend::Random;
         let mut kappa = [0f32; N];
-        let jitter = if random { directions.cell_size() } else { 0.0 };
+        let jitter = if random { JITTER * directions.cell_size() } else { 0.0 };
         let (mut cells, mut moved) = ([0u32; N], [[0f32; N]; 3]);
         for i in 0..N {
             let seed =
