@@ -28,6 +28,8 @@ pub enum Workload {
 #[derive(Clone, Copy)]
 pub struct Source {
     pub name: &'static str,
+    /// What makes it.
+    pub generator: &'static str,
     pub triangles: usize,
     pub alpha: f32,
     pub workload: Workload,
@@ -35,23 +37,47 @@ pub struct Source {
     pub distance: f32,
 }
 
-/// The three scenes of figures 1, 7 and 8.
-pub const SOURCES: [Source; 3] = [
-    Source { name: "bush", triangles: 2_000_000, alpha: 0.85, workload: Workload::Shadow, distance: 1.0 },
+/// The three scenes of figures 1, 7 and 8; the second also with unbounded ambient occlusion.
+pub const SOURCES: [Source; 4] = [
+    Source {
+        name: "bush",
+        generator: "bush",
+        triangles: 2_000_000,
+        alpha: 0.85,
+        workload: Workload::Shadow,
+        distance: 1.0,
+    },
     Source {
         name: "tentacles",
+        generator: "tentacles",
         triangles: 3_800_000,
         alpha: 1.0,
         workload: Workload::Ambient(0.1),
         distance: 0.55,
     },
-    Source { name: "bamboo", triangles: 5_200_000, alpha: 1.0, workload: Workload::Shadow, distance: 0.8 },
+    Source {
+        name: "tentacles-far",
+        generator: "tentacles",
+        triangles: 3_800_000,
+        alpha: 1.0,
+        workload: Workload::Ambient(f32::INFINITY),
+        distance: 0.55,
+    },
+    Source {
+        name: "bamboo",
+        generator: "bamboo",
+        triangles: 5_200_000,
+        alpha: 1.0,
+        workload: Workload::Shadow,
+        distance: 0.8,
+    },
 ];
 
 /// A point that light arrives at.
 pub struct Receiver {
     pub point: Vec3,
     pub normal: Vec3,
+    pub pixel: [u32; 2],
     /// Whether it is on the ground, not in the foliage.
     pub on_ground: bool,
 }
@@ -102,6 +128,13 @@ impl Kind {
 impl Case {
     /// The scene with about `triangles` triangles, seen by an image of `width` x 3/4 `width` pixels.
     pub fn new(source: Source, mesh: TriangleMesh, width: u32) -> Result<Self> {
+        let mut case = Self::seen(source, mesh, width)?;
+        case.truth = case.exact_truth();
+        Ok(case)
+    }
+
+    /// The same without the exact answers.
+    pub fn seen(source: Source, mesh: TriangleMesh, width: u32) -> Result<Self> {
         let mut mesh = mesh;
         let bounds = mesh.bounds();
         let (center, size) = (bounds.center(), bounds.diagonal());
@@ -132,13 +165,29 @@ impl Case {
         let mut case =
             Self { source, mesh, opacity, depths, bvh, bvh_build_s, receivers, truth, light, radius };
         case.look(width, own, middle);
-        case.truth = case.exact_truth();
         Ok(case)
+    }
+
+    /// The scene without the ground.
+    pub fn mesh_alone(&self) -> Result<TriangleMesh> {
+        let (positions, triangles) = (&self.mesh.positions, &self.mesh.triangles);
+        let own = (positions[..positions.len() - 4].to_vec(), triangles[..triangles.len() - 2].to_vec());
+        Ok(TriangleMesh::new(own.0, own.1)?)
+    }
+
+    /// The receiver on the ground that is nearest to half visible, and a hundredth of the solid angle of its light.
+    pub fn half_shadow(&self) -> Option<(usize, f32)> {
+        let half = |i: &usize| (self.truth[*i] - 0.5).abs();
+        let grounded = (0..self.receivers.len()).filter(|&i| self.receivers[i].on_ground);
+        let receiver = grounded.min_by(|a, b| half(a).total_cmp(&half(b)))?;
+        let mut cones = Vec::new();
+        self.fan(receiver, 100, 1, &mut cones);
+        Some((receiver, cones[0].solid_angle))
     }
 
     /// A case over the generator's mesh.
     pub fn generate(source: Source, triangles: usize, width: u32) -> Result<Self> {
-        Self::new(source, generated(source.name, triangles)?, width)
+        Self::new(source, generated(source.generator, triangles)?, width)
     }
 
     /// Finds what the camera sees; pixels in tiles, so that neighbours follow each other.
@@ -176,7 +225,7 @@ impl Case {
                 let in_plane = along - normal * (along - corners[0]).dot(normal);
                 let point = offset_origin(in_plane, normal, normal, 2.0 * size);
                 let on_ground = hit.prim_index as usize >= own;
-                self.receivers.push(Receiver { point, normal, on_ground });
+                self.receivers.push(Receiver { point, normal, pixel: [x, y], on_ground });
             }
         }
     }

@@ -7,12 +7,12 @@ use super::{
 use crate::rows::{Output, Row};
 use anyhow::Result;
 use serde_json::{Value, json};
-use std::{collections::BTreeMap, time::Instant};
+use std::time::Instant;
 use umbrage_accel::Statistics;
 use umbrage_geom::{Ray, sampling::RandomStream};
 use umbrage_occlusion::prefilter::{
-    CellSampling, ConeRay, Correlation, PrefilterOptions, Prefiltered, Query, SegmentEnds, StopStatistics,
-    Storage, published::Published,
+    Blend, CellSampling, ConeRay, Correlation, PrefilterOptions, Prefiltered, Query, SegmentEnds, Storage,
+    published::Published,
 };
 use umbrage_scene::generate::{ParameterValue, Parameters, generate};
 
@@ -46,15 +46,11 @@ fn answers(scene: &Prefiltered, cones: &[ConeRay], query: &Query) -> Vec<f32> {
 pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
     const SIDE: u32 = 256;
     let (scene, _) = case.prefiltered(&PrefilterOptions::default())?;
-    // The receiver in the deepest half shadow.
-    let half = |i: &usize| (case.truth[*i] - 0.5).abs();
-    let grounded = (0..case.receivers.len()).filter(|&i| case.receivers[i].on_ground);
-    let Some(receiver) = grounded.min_by(|a, b| half(a).total_cmp(&half(b))) else { return Ok(()) };
+    let Some((receiver, solid_angle)) = case.half_shadow() else { return Ok(()) };
     let mut cones = Vec::new();
     case.fan(receiver, SIDE * SIDE, 1, &mut cones);
     // Each ray of a picture stands for a hundredth of the light, as samples would.
-    let whole = cones[0].solid_angle * (SIDE * SIDE) as f32;
-    cones.iter_mut().for_each(|c| c.solid_angle = whole / 100.0);
+    cones.iter_mut().for_each(|c| c.solid_angle = solid_angle);
     for (name, query) in
         [("bvh", Query::EXACT), ("prefilter", Query::new(2.0)?), ("prefilter", Query::new(0.1)?)]
     {
@@ -89,15 +85,40 @@ pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
     Ok(())
 }
 
-/// Levels at which rays end.
-#[derive(Default)]
-struct Levels(BTreeMap<usize, u64>);
+/// Levels at which rays end: the root's children are on level 1.
+pub struct Levels {
+    of_node: Vec<u32>,
+    count: usize,
+    ends: u64,
+    sum: u64,
+}
 
-impl Statistics for Levels {}
+impl Levels {
+    pub fn new(scene: &Prefiltered) -> Self {
+        let levels = scene.levels();
+        let mut of_node = vec![0; levels.iter().map(Vec::len).sum()];
+        for (level, nodes) in levels.iter().enumerate() {
+            nodes.iter().for_each(|&node| of_node[node as usize] = level as u32 + 1);
+        }
+        Self { of_node, count: levels.len(), ends: 0, sum: 0 }
+    }
 
-impl StopStatistics for Levels {
-    fn stops(&mut self, slots: u32, level: impl FnOnce() -> usize) {
-        *self.0.entry(level() + 1).or_default() += u64::from(slots.count_ones());
+    /// Forgets what was counted.
+    pub fn restart(&mut self) {
+        (self.ends, self.sum) = (0, 0);
+    }
+
+    /// Mean level, over the number of levels; `None` if no ray ended at a node.
+    pub fn mean(&self) -> Option<f32> {
+        (self.ends > 0).then(|| self.sum as f32 / self.ends as f32 / self.count as f32)
+    }
+}
+
+impl Statistics for Levels {
+    fn ends(&mut self, node: u32, slots: u32) {
+        let ends = u64::from(slots.count_ones());
+        self.ends += ends;
+        self.sum += ends * u64::from(self.of_node[node as usize]);
     }
 }
 
@@ -107,12 +128,11 @@ pub fn convergence(case: &Case, output: &mut Output) -> Result<()> {
     for rays in [4, 16, 64] {
         let cones = case.rays(Kind::Whole, rays, 5);
         let mut passed = vec![0.0; cones.len()];
-        let mut levels = Levels::default();
+        let mut levels = Levels::new(&scene);
         scene.transmittances_with(&cones, &Query::new(0.2)?, &mut passed, &mut levels);
-        let ends: u64 = levels.0.values().sum();
-        let mean = levels.0.iter().map(|(&l, &n)| l as f64 * n as f64).sum::<f64>() / ends.max(1) as f64;
         let counters = json!({
-            "ends_a_ray": ends as f64 / cones.len() as f64, "mean_level": mean, "levels": scene.levels(),
+            "ends_a_ray": levels.ends as f64 / cones.len() as f64,
+            "mean_level": levels.sum as f64 / levels.ends.max(1) as f64, "levels": levels.count,
         });
         let params = json!({ "figure": "6", "rays": rays, "t": 0.2 });
         output.row(&error_row(
@@ -147,6 +167,7 @@ pub fn particles(triangles: usize, width: u32, output: &mut Output) -> Result<()
         let mesh = generate("particles", &parameters)?.mesh;
         let source = Source {
             name: if mode == "block" { "particles-block" } else { "particles-transmit" },
+            generator: "particles",
             triangles,
             alpha: 1.0,
             workload: Workload::Shadow,
@@ -187,6 +208,9 @@ pub fn bias(case: &Case, output: &mut Output) -> Result<()> {
         ("centre directions", default.with_sampling(CellSampling::Center), query),
         ("whole crossings", default, whole),
         ("any angle", default, query.with_widest(1e3)),
+        ("N_C = 4", default.with_directions(4), query),
+        ("N_C = 6", default.with_directions(6), query),
+        ("no blending", default, query.with_blend(Blend::None)),
         ("K = 0", height(0.0), query),
         ("K = 5", height(5.0), query),
         ("no directions", default.with_storage(Storage::Average), query),

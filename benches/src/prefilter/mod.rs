@@ -2,6 +2,7 @@
 
 mod case;
 mod figures;
+mod pictures;
 mod tables;
 mod targets;
 
@@ -11,6 +12,7 @@ use crate::{
 };
 use anyhow::{Result, bail};
 use case::{Case, SOURCES};
+use std::path::PathBuf;
 
 /// What to run.
 pub struct Options {
@@ -20,11 +22,13 @@ pub struct Options {
     pub only: Option<String>,
     /// Only one part of the suite.
     pub part: Option<String>,
+    /// Folder for pictures of figures 4 and 6.
+    pub pictures: Option<PathBuf>,
 }
 
 /// Parts of the suite, in order.
-pub const PARTS: [&str; 10] =
-    ["targets", "tables", "fig5", "fig6", "fig9", "fig10", "bias", "refit", "control", "forest"];
+pub const PARTS: [&str; 11] =
+    ["targets", "tables", "fig4", "fig5", "fig6", "fig9", "fig10", "bias", "refit", "control", "forest"];
 
 /// Most triangles in the quick form.
 const QUICK_TRIANGLES: usize = 300_000;
@@ -42,7 +46,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     let wants = |part: &str| options.part.as_ref().is_none_or(|p| p == part);
     let named = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     let (width, passes) = if options.quick { (48, 3) } else { (64, 5) };
-    let with_scenes = ["targets", "tables", "fig5", "fig6", "fig10", "bias", "refit", "control"];
+    let with_scenes = ["targets", "tables", "fig4", "fig5", "fig6", "fig10", "bias", "refit", "control"];
     if with_scenes.iter().any(|part| wants(part)) {
         for source in SOURCES.into_iter().filter(|s| named(s.name)) {
             let triangles =
@@ -56,6 +60,9 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             }
             if wants("tables") {
                 tables::run(&case, output)?;
+            }
+            if let (true, Some(folder)) = (wants("fig4"), &options.pictures) {
+                pictures::run(&case, if options.quick { 160 } else { 256 }, folder)?;
             }
             if wants("fig5") && source.name == "bush" {
                 figures::variance(&case, if options.quick { 5_000 } else { 50_000 }, output)?;

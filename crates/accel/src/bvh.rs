@@ -9,7 +9,7 @@ use crate::{
     topology::Topology,
     traversal,
 };
-use fan::Goal;
+use fan::{FanGoal, SMALLEST};
 use std::ops::{ControlFlow, Range};
 use umbrage_geom::{
     Aabb, OpticalDepth, Ray, TriangleHit,
@@ -342,6 +342,12 @@ impl Bvh {
         self.back_end.run(Transmittances { bvh: self, rays, depth_of: &depth_of, sums, stats });
     }
 
+    /// Walks `rays` for a goal of the caller's: those of one origin that follow each other together, [`FAN`](crate::FAN) at
+    /// most, others alone, [`WALKS`](crate::WALKS) fans in turn; on this thread.
+    pub fn walk_fans(&self, rays: &[Ray], goal: &mut impl FanGoal, stats: &mut impl Statistics) {
+        self.back_end.run(WalkFans { bvh: self, rays, goal, stats });
+    }
+
     /// Smallest box around all triangles.
     pub fn bounds(&self) -> Aabb {
         self.tree.bounds
@@ -411,7 +417,7 @@ impl<S: Statistics> Job for AnyHits<'_, S> {
         let packet = |goal: &mut fan::AnyHit<'_>, range: Range<usize>, stats: &mut S| {
             packet::any_hits(kernel, bvh, &rays[range.clone()], &mut goal.hits[range], &mut packets, stats);
         };
-        fan::answer(kernel, bvh, rays, &mut fan::AnyHit { rays, hits }, packet, stats);
+        fan::answer(kernel, bvh, rays, SMALLEST, &mut fan::AnyHit { rays, hits }, packet, stats);
     }
 }
 
@@ -495,8 +501,30 @@ impl<F: Fn(u32) -> OpticalDepth, S: Statistics> Job for Transmittances<'_, F, S>
         let Self { bvh, rays, depth_of, sums, stats } = self;
         sums.fill(OpticalDepth::CLEAR);
         let alone = |goal: &mut fan::Transmittance<'_, F>, range: Range<usize>, stats: &mut S| {
-            range.for_each(|index| goal.alone(kernel, bvh, index, stats));
+            for index in range {
+                goal.sums[index] = traversal::transmittance(kernel, bvh, &rays[index], depth_of, stats);
+            }
         };
-        fan::answer(kernel, bvh, rays, &mut fan::Transmittance { rays, sums, depth_of }, alone, stats);
+        let mut goal = fan::Transmittance { bvh, rays, sums, depth_of };
+        fan::answer(kernel, bvh, rays, SMALLEST, &mut goal, alone, stats);
+    }
+}
+
+struct WalkFans<'a, G, S> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
+    goal: &'a mut G,
+    stats: &'a mut S,
+}
+
+impl<G: FanGoal, S: Statistics> Job for WalkFans<'_, G, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        let Self { bvh, rays, goal, stats } = self;
+        // Single rays are fans too.
+        let none = |_: &mut G, _: Range<usize>, _: &mut S| {};
+        fan::answer(kernel, bvh, rays, 1, goal, none, stats);
     }
 }

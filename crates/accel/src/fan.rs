@@ -5,8 +5,8 @@
 
 use crate::{
     Bvh, Statistics,
-    kernel::{Ahead, FAN, Fan, Kernel, Rows, Stack},
-    node::{LEAF, Node, WIDTH},
+    kernel::{Ahead, Columns, FAN, Fan, Kernel, Prepared, Rows, Stack},
+    node::{LEAF, Node, Note, WIDTH},
     packet::PACKET,
     traversal,
 };
@@ -14,14 +14,14 @@ use std::ops::Range;
 use umbrage_geom::{
     Aabb, OpticalDepth, Ray,
     kernel::{
-        BlockMask, LANES,
+        BlockMask, LANES, TriangleBlock,
         fan::{CHUNK, FanRays, slab_inverse},
     },
     segment_hits_triangle,
 };
 
 /// Fewest rays that are worth a fan.
-const SMALLEST: usize = 4;
+pub(crate) const SMALLEST: usize = 4;
 
 /// Fewest rays for which a node is first tested against the envelope.
 const WIDE: u32 = 4;
@@ -40,11 +40,13 @@ pub(crate) struct Parts<'a> {
     at: usize,
     /// Rays of the fan that ended the last packet.
     fan: usize,
+    /// Fewest rays of a fan.
+    smallest: usize,
 }
 
 impl<'a> Parts<'a> {
-    pub(crate) fn new(rays: &'a [Ray]) -> Self {
-        Self { rays, at: 0, fan: 0 }
+    pub(crate) fn new(rays: &'a [Ray], smallest: usize) -> Self {
+        Self { rays, at: 0, fan: 0, smallest }
     }
 
     /// Rays from `at` whose origins have the same bits, up to [`FAN`].
@@ -77,7 +79,7 @@ impl Iterator for Parts<'_> {
         let mut end = start;
         while self.fan == 0 && end < self.rays.len() && end - start < PACKET {
             let same = self.same_origin(end);
-            if same >= SMALLEST {
+            if same >= self.smallest {
                 self.fan = same;
             } else {
                 end += same.min(PACKET - (end - start));
@@ -237,14 +239,48 @@ fn may_enter(rays: &[Ray], bounds: &Aabb) -> bool {
     start <= end
 }
 
-/// What is asked about each ray.
-pub(crate) trait Goal {
-    /// Takes the triangles of a leaf that ray `index` hits for certain, and those that the exact predicate has to decide.
-    /// Whether the ray needs no more.
-    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool;
+/// A ray of a fan.
+#[derive(Clone, Copy, Debug)]
+pub struct FanRay {
+    /// Its place in the batch.
+    pub index: usize,
+    /// Which of the fans that take turns it belongs to, below [`WALKS`].
+    pub walk: usize,
+    /// Its column there.
+    pub column: usize,
+}
 
-    /// Answers a ray that no fan takes.
-    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S);
+/// What is asked about each ray of a batch. Everything that is called often should be `#[inline(always)]` and written as
+/// loops over arrays: it is then compiled with the instructions of the walk.
+pub trait FanGoal {
+    /// Whether rays may end at nodes.
+    const ENDS: bool = false;
+
+    /// Rays of the batch start together: the one in column `i` of `rays` is `first + i`. Bit `i` of `fit` is set for those that
+    /// the walk answers. `limits` are 0 and say where rays end, if they may: at a child whose squared radius, times its mark
+    /// in 255ths ([`Note`]), over squared distance is less. A mark of 0 ends none.
+    #[inline(always)]
+    fn start(&mut self, walk: usize, first: usize, fit: u32, limits: &mut [f32; FAN]) {
+        let _ = (walk, first, fit, limits);
+    }
+
+    /// Ends a ray at some children of a node, a bit each in `slots`, instead of entering them. `covered` is the part of its way
+    /// through each that the segment covers, 0 for others. Whether the ray needs no more.
+    #[inline(always)]
+    fn end(&mut self, ray: FanRay, note: &Note, slots: u32, covered: &[f32; WIDTH]) -> bool {
+        let _ = (ray, note, slots, covered);
+        false
+    }
+
+    /// Takes the triangles of a leaf that a ray hits for certain, and those that the exact predicate has to decide.
+    /// Whether the ray needs no more.
+    fn leaf(&mut self, ray: FanRay, leaf: u32, block: &TriangleBlock, mask: BlockMask) -> bool;
+
+    /// The rays that started last in this walk have met everything.
+    #[inline(always)]
+    fn finish(&mut self, walk: usize) {
+        let _ = walk;
+    }
 }
 
 /// One fan on its way.
@@ -260,6 +296,9 @@ struct Walk {
     narrow: bool,
     /// Index of the first ray.
     first: usize,
+    /// Where each ray ends, and the largest of these; for goals that end rays.
+    limits: [f32; FAN],
+    widest: f32,
 }
 
 impl Walk {
@@ -268,7 +307,18 @@ impl Walk {
         let envelope = Envelope::new(&rays, 0, 0);
         let (stack, origin) = (Stack::new(), [0.0; 3]);
         let fan = Fan { rays, ahead: Ahead::new(origin, [origin; 2]), signs: None };
-        Self { fan, stack, top: 0, alive: 0, origin, envelope, narrow: false, first: 0 }
+        Self {
+            fan,
+            stack,
+            top: 0,
+            alive: 0,
+            origin,
+            envelope,
+            narrow: false,
+            first: 0,
+            limits: [0.0; FAN],
+            widest: 0.0,
+        }
     }
 
     /// Takes up `rays` of one origin; returns those that it can answer.
@@ -293,13 +343,14 @@ impl Walk {
         fit
     }
 
-    /// Visits one node or leaf; false if there was none left.
+    /// Visits one node or leaf; false if there was none left. `walk` is its own number.
     #[inline(always)]
-    fn step<K: Kernel, S: Statistics>(
+    fn step<K: Kernel, S: Statistics, G: FanGoal>(
         &mut self,
         kernel: K,
         bvh: &Bvh,
-        goal: &mut impl Goal,
+        walk: usize,
+        goal: &mut G,
         stats: &mut S,
     ) -> bool {
         let (child, mask) = loop {
@@ -313,7 +364,7 @@ impl Walk {
             }
         };
         if child & LEAF != 0 {
-            self.leaf(kernel, bvh, (child & !LEAF) as usize, mask, goal, stats);
+            self.leaf(kernel, bvh, (child & !LEAF) as usize, mask, walk, goal, stats);
             return true;
         }
         let node = &bvh.tree.nodes[child as usize];
@@ -323,7 +374,9 @@ impl Walk {
         if self.narrow && mask.count_ones() >= WIDE {
             wanted &= self.envelope.mask(kernel, &rows);
         }
-        if wanted & wanted.wrapping_sub(1) == 0 {
+        if G::ENDS && self.ends(kernel, node, &rows, child, wanted, mask, walk, goal, stats) {
+            // Whatever rays enter is on the stack.
+        } else if wanted & wanted.wrapping_sub(1) == 0 {
             let slot = wanted.trailing_zeros() as usize % WIDTH;
             (self.stack.children[bottom], self.stack.rays[bottom]) = (node.children[slot], mask);
             self.top += usize::from(wanted != 0);
@@ -341,15 +394,60 @@ impl Walk {
         true
     }
 
+    /// Ends rays at children of a node and pushes the others; false if none of the `wanted` is small enough for any ray.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments)] // the state of one loop
+    fn ends<K: Kernel, S: Statistics>(
+        &mut self,
+        kernel: K,
+        node: &Node,
+        rows: &Rows,
+        index: u32,
+        wanted: u32,
+        mut rest: u32,
+        walk: usize,
+        goal: &mut impl FanGoal,
+        stats: &mut S,
+    ) -> bool {
+        let sizes = kernel.sizes(rows, &node.note);
+        if wanted & kernel.smaller(&sizes, self.widest) == 0 {
+            return false;
+        }
+        stats.node(node.len() as u32);
+        let (mut columns, mut covered) = (Columns::NONE, [0.0; WIDTH]);
+        while rest != 0 {
+            let r = rest.trailing_zeros() as usize % FAN;
+            rest &= rest - 1;
+            let slots = kernel.enter_or_end(
+                rows,
+                &sizes,
+                &self.fan.rays,
+                r,
+                self.limits[r],
+                &mut columns,
+                &mut covered,
+            );
+            if slots != 0 {
+                stats.ends(index, slots);
+                let ray = FanRay { index: self.first + r, walk, column: r };
+                self.alive &= !(u32::from(goal.end(ray, &node.note, slots, &covered)) << r);
+            }
+        }
+        self.top = kernel.push(node, rows, &self.fan, &columns, node.used, &mut self.stack, self.top);
+        true
+    }
+
     /// Tests the rays in `rest` against a leaf.
     #[inline(always)]
+    #[allow(clippy::too_many_arguments)] // the state of one loop
     fn leaf<K: Kernel, S: Statistics>(
         &mut self,
         kernel: K,
         bvh: &Bvh,
         leaf: usize,
         mut rest: u32,
-        goal: &mut impl Goal,
+        walk: usize,
+        goal: &mut impl FanGoal,
         stats: &mut S,
     ) {
         let block = &bvh.blocks[leaf];
@@ -360,44 +458,82 @@ impl Walk {
             let mask = kernel.fan_filter(&planes, &self.fan.rays, r);
             stats.triangles(block.len() as u32);
             stats.uncertain(mask.uncertain.count_ones());
-            if mask.certain | mask.uncertain != 0 && goal.leaf(bvh, leaf, self.first + r, mask) {
+            let ray = FanRay { index: self.first + r, walk, column: r };
+            if mask.certain | mask.uncertain != 0 && goal.leaf(ray, leaf as u32, block, mask) {
                 self.alive &= !(1 << r);
             }
         }
     }
 }
 
-/// Fans that take turns, so that one works while others wait for memory.
-const TURNS: usize = 8;
+/// Walks a ray that no fan takes, because it is not valid or of extreme size, from leaf to leaf.
+fn alone<K: Kernel, S: Statistics>(
+    kernel: K,
+    bvh: &Bvh,
+    index: usize,
+    ray: &Ray,
+    walk: usize,
+    goal: &mut impl FanGoal,
+    stats: &mut S,
+) {
+    goal.start(walk, index, 1, &mut [0.0; FAN]);
+    if let Some(prepared) = Prepared::new(ray) {
+        let mut leaves = traversal::Walk::new(kernel, &bvh.tree, &prepared.node, stats);
+        while let Some(leaf) = leaves.next(stats) {
+            let mask = traversal::filter(kernel, bvh, leaf, &prepared.block, stats);
+            let at = FanRay { index, walk, column: 0 };
+            if mask.certain | mask.uncertain != 0 && goal.leaf(at, leaf as u32, &bvh.blocks[leaf], mask) {
+                break;
+            }
+        }
+    }
+    goal.finish(walk);
+}
 
-/// Answers rays by fans where they share an origin; the others are left to `packet`, [`PACKET`] at most at a time.
+/// Fans that take turns, so that one works while others wait for memory.
+pub const WALKS: usize = 8;
+
+/// Answers rays by fans where at least `smallest` share an origin; the others are left to `packet`, [`PACKET`] at most at a
+/// time.
 #[inline(always)]
-pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
+pub(crate) fn answer<K: Kernel, S: Statistics, G: FanGoal>(
     kernel: K,
     bvh: &Bvh,
     rays: &[Ray],
+    smallest: usize,
     goal: &mut G,
     mut packet: impl FnMut(&mut G, Range<usize>, &mut S),
     stats: &mut S,
 ) {
     // Made when first needed: a single fan shouldn't pay for all.
-    let mut walks: Vec<Walk> = Vec::with_capacity(TURNS);
-    let mut turns: [usize; TURNS] = std::array::from_fn(|i| i);
+    let mut walks: Vec<Walk> = Vec::with_capacity(WALKS);
+    let mut turns: [usize; WALKS] = std::array::from_fn(|i| i);
 
     let mut busy = 0;
-    let mut parts = Parts::new(rays);
+    let mut parts = Parts::new(rays, smallest);
     loop {
-        while busy < TURNS {
+        while busy < WALKS {
             match parts.next() {
-                Some(Part::Fan(range)) if !may_enter(&rays[range.clone()], &bvh.tree.bounds) => {}
+                Some(Part::Fan(range)) if !may_enter(&rays[range.clone()], &bvh.tree.bounds) => {
+                    let all = u32::MAX >> (FAN - range.len());
+                    goal.start(turns[busy], range.start, all, &mut [0.0; FAN]);
+                    goal.finish(turns[busy]);
+                }
                 Some(Part::Fan(range)) => {
                     if walks.len() == busy {
                         walks.push(Walk::new());
                     }
-                    let fit = walks[turns[busy]].start(range.start, &rays[range.clone()], &bvh.tree.bounds);
+                    let walk = turns[busy];
+                    let fit = walks[walk].start(range.start, &rays[range.clone()], &bvh.tree.bounds);
                     for index in range.clone().filter(|index| fit >> (index - range.start) & 1 == 0) {
-                        goal.alone(kernel, bvh, index, stats);
+                        alone(kernel, bvh, index, &rays[index], walk, goal, stats);
                     }
+                    let Walk { limits, widest, .. } = &mut walks[walk];
+                    if G::ENDS {
+                        *limits = [0.0; FAN];
+                    }
+                    goal.start(walk, range.start, fit, limits);
+                    *widest = if G::ENDS { limits.iter().fold(0.0, |a, &b| larger(a, b)) } else { 0.0 };
                     busy += 1;
                 }
                 Some(Part::Packet(range)) => packet(goal, range, stats),
@@ -409,9 +545,11 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: Goal>(
         }
         let mut turn = 0;
         while turn < busy {
-            if walks[turns[turn]].step(kernel, bvh, goal, stats) {
+            let walk = turns[turn];
+            if walks[walk].step(kernel, bvh, walk, goal, stats) {
                 turn += 1;
             } else {
+                goal.finish(walk);
                 busy -= 1;
                 turns.swap(turn, busy);
             }
@@ -425,55 +563,52 @@ pub(crate) struct AnyHit<'a> {
     pub(crate) hits: &'a mut [bool],
 }
 
-impl Goal for AnyHit<'_> {
+impl FanGoal for AnyHit<'_> {
     #[inline(always)]
-    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool {
+    fn leaf(&mut self, FanRay { index, .. }: FanRay, _: u32, block: &TriangleBlock, mask: BlockMask) -> bool {
         let mut hit = mask.certain != 0;
         let mut open = mask.uncertain;
         while open != 0 && !hit {
             let lane = open.trailing_zeros() as usize % LANES;
             open &= open - 1;
-            hit = segment_hits_triangle(&self.rays[index], bvh.blocks[leaf].get(lane));
+            hit = segment_hits_triangle(&self.rays[index], block.get(lane));
         }
         self.hits[index] = hit;
         hit
-    }
-
-    #[inline(always)]
-    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S) {
-        self.hits[index] = traversal::any_hit(kernel, bvh, &self.rays[index], stats);
     }
 }
 
 /// The sum of what all triangles hit let through.
 pub(crate) struct Transmittance<'a, F> {
+    pub(crate) bvh: &'a Bvh,
     pub(crate) rays: &'a [Ray],
     /// Clear at the start.
     pub(crate) sums: &'a mut [OpticalDepth],
     pub(crate) depth_of: &'a F,
 }
 
-impl<F: Fn(u32) -> OpticalDepth> Goal for Transmittance<'_, F> {
+impl<F: Fn(u32) -> OpticalDepth> FanGoal for Transmittance<'_, F> {
     #[inline(always)]
-    fn leaf(&mut self, bvh: &Bvh, leaf: usize, index: usize, mask: BlockMask) -> bool {
+    fn leaf(
+        &mut self,
+        FanRay { index, .. }: FanRay,
+        leaf: u32,
+        block: &TriangleBlock,
+        mask: BlockMask,
+    ) -> bool {
         let mut open = mask.certain | mask.uncertain;
         let mut sum = self.sums[index];
         while open != 0 {
             let lane = open.trailing_zeros() as usize % LANES;
             open &= open - 1;
             let certain = mask.certain >> lane & 1 == 1;
-            if certain || segment_hits_triangle(&self.rays[index], bvh.blocks[leaf].get(lane)) {
-                sum += (self.depth_of)(bvh.prim(leaf, lane));
+            if certain || segment_hits_triangle(&self.rays[index], block.get(lane)) {
+                sum += (self.depth_of)(self.bvh.prim(leaf as usize, lane));
             }
         }
         let opaque = sum.is_opaque();
         self.sums[index] = if opaque { OpticalDepth::OPAQUE } else { sum };
         opaque
-    }
-
-    #[inline(always)]
-    fn alone<K: Kernel, S: Statistics>(&mut self, kernel: K, bvh: &Bvh, index: usize, stats: &mut S) {
-        self.sums[index] = traversal::transmittance(kernel, bvh, &self.rays[index], self.depth_of, stats);
     }
 }
 

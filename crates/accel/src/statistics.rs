@@ -19,6 +19,12 @@ pub trait Statistics {
     fn uncertain(&mut self, lanes: u32) {
         let _ = lanes;
     }
+
+    /// A ray ended at the `slots` (a bit each) of node `node` instead of entering them.
+    #[inline(always)]
+    fn ends(&mut self, node: u32, slots: u32) {
+        let _ = (node, slots);
+    }
 }
 
 impl Statistics for () {}

@@ -129,7 +129,7 @@ pub(crate) fn just_behind(t: f32) -> f32 {
 
 /// Lanes of a leaf that are hit for certain, and lanes left open.
 #[inline(always)]
-fn filter<K: Kernel, S: Statistics>(
+pub(crate) fn filter<K: Kernel, S: Statistics>(
     kernel: K,
     bvh: &Bvh,
     leaf: usize,

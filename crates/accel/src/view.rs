@@ -2,7 +2,7 @@
 
 use crate::{
     Bvh,
-    node::{LEAF, Node, WIDTH},
+    node::{LEAF, Node, Note, WIDTH},
 };
 use umbrage_geom::{Aabb, kernel::TriangleBlock};
 
@@ -47,6 +47,14 @@ impl Bvh {
             let aabb = Aabb { min: [at(0), at(2), at(4)].into(), max: [at(1), at(3), at(5)].into() };
             (aabb, node.child(slot))
         })
+    }
+
+    /// Keeps `note` in node `node`, through refits too. Queries don't look at it.
+    ///
+    /// # Panics
+    /// If there is no such node.
+    pub fn set_note(&mut self, node: u32, note: Note) {
+        self.tree.nodes[node as usize].note = note;
     }
 
     /// The triangles of each leaf.
@@ -152,6 +160,12 @@ impl<'a> NodeView<'a> {
     #[inline(always)]
     pub fn used(self) -> u32 {
         self.0.used
+    }
+
+    /// What the hierarchy's owner keeps in the node.
+    #[inline(always)]
+    pub fn note(self) -> &'a Note {
+        &self.0.note
     }
 
     /// What `slot` (below 8) holds; must not be asked of empty slots, which come last.

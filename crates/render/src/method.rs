@@ -4,14 +4,14 @@
 //! angle, so that methods which trace fans, masks or cones can use them.
 
 use crate::{RenderError, geometry::Geometry, volumetric};
-use umbrage_accel::{Bvh, Counters};
+use umbrage_accel::{Bvh, Counters, Statistics};
 use umbrage_aomask::{
     BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, TableOptions,
     coarse::{self, FarField},
     exact,
 };
 use umbrage_geom::{Falloff, Ray};
-use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query, StopStatistics};
+use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query};
 
 /// One sample of a light or of the sky, seen from a receiver.
 #[derive(Clone, Copy, Debug)]
@@ -82,7 +82,7 @@ impl<'a> PrefilteredRays<'a> {
         Ok(Self { scene, query: Query::new(threshold).map_err(failed)? })
     }
 
-    fn answer(&self, rays: &[ConeRay], passed: &mut [f32], stats: &mut impl StopStatistics) {
+    fn answer(&self, rays: &[ConeRay], passed: &mut [f32], stats: &mut impl Statistics) {
         match &self.scene {
             PrefilteredScene::Flat(scene) => scene.transmittances_with(rays, &self.query, passed, stats),
             PrefilteredScene::Instanced(scene) => rays

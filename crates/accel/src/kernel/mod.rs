@@ -8,14 +8,14 @@ pub(crate) use scalar::Scalar;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use umbrage_geom::kernel::x86::Avx2;
 
-use crate::node::{MAX_LEVELS, Node, WIDTH};
+use crate::node::{MAX_LEVELS, Node, Note, WIDTH};
 use umbrage_geom::{
     Ray, SlabRay,
     kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
 };
 
-/// Most rays that walk together.
-pub(crate) const FAN: usize = 32;
+/// Most rays of one origin that walk together.
+pub const FAN: usize = 32;
 
 /// A valid ray prepared for boxes of nodes.
 #[derive(Clone, Copy, Debug)]
@@ -52,6 +52,27 @@ impl Prepared {
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Rows(pub(crate) [[f32; WIDTH]; 6]);
+
+/// How large children look.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub(crate) struct Sizes(pub(crate) [f32; WIDTH]);
+
+/// For each child the rays that enter it, a bit each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C, align(32))]
+pub(crate) struct Columns(pub(crate) [u32; WIDTH]);
+
+impl Columns {
+    /// No ray enters.
+    pub(crate) const NONE: Self = Self([0; WIDTH]);
+}
+
+/// What both terms of the covered part of a way are raised by, so that a way of length 0 is covered.
+const RAISE: f32 = 1.0 / (1u128 << 100) as f32;
+
+/// The share that mark 1 stands for.
+const SHARE: f32 = 1.0 / 255.0;
 
 /// How far ahead of a fan something is.
 #[derive(Clone, Copy, Debug)]
@@ -150,6 +171,39 @@ pub(crate) trait Kernel: Copy {
         stack: &mut Stack,
         top: usize,
     ) -> usize;
+
+    /// How large the children look from the fan's origin: squared radius times the share that is their mark in 255ths, over
+    /// squared distance; infinite or not a number where the mark is 0.
+    fn sizes(self, rows: &Rows, note: &Note) -> Sizes;
+
+    /// Children that look smaller than `limit`, a bit each.
+    fn smaller(self, sizes: &Sizes, limit: f32) -> u32;
+
+    /// Notes the children that ray `r` of a fan enters, those that look smaller than `limit` aside: they end it. Returns
+    /// these, a bit each, and writes how much of its way through them the segment covers, 0 for others.
+    #[allow(clippy::too_many_arguments)] // the state of one loop
+    fn enter_or_end(
+        self,
+        rows: &Rows,
+        sizes: &Sizes,
+        rays: &FanRays<FAN>,
+        r: usize,
+        limit: f32,
+        columns: &mut Columns,
+        covered: &mut [f32; WIDTH],
+    ) -> u32;
+
+    /// The same as [`Self::fan_push`] where `columns` has the rays that enter each child.
+    fn push(
+        self,
+        node: &Node,
+        rows: &Rows,
+        fan: &Fan,
+        columns: &Columns,
+        wanted: u32,
+        stack: &mut Stack,
+        top: usize,
+    ) -> usize;
 }
 
 /// Work that runs on any kernel.
@@ -206,6 +260,66 @@ impl BackEnd {
                 None => job.run(Scalar),
             },
             _ => job.run(Scalar),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use umbrage_geom::Aabb;
+
+    fn coordinate() -> impl Strategy<Value = f32> {
+        prop_oneof![
+            4 => -2f32..2.0,
+            2 => (-4i8..5).prop_map(|i| f32::from(i) * 0.5),
+            1 => prop::sample::select(vec![-0.0, 1e-30f32, 1e12]),
+        ]
+    }
+
+    fn point() -> impl Strategy<Value = [f32; 3]> {
+        [coordinate(), coordinate(), coordinate()]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+        #[test]
+        fn back_ends_end_rays_alike(
+            boxes in prop::collection::vec((point(), point(), any::<u8>()), 1..=8), o in point(), d in point(),
+            limit in prop::sample::select(vec![0f32, 0.01, 1.0, f32::INFINITY]),
+            tfar in prop::sample::select(vec![0.5f32, 1.0, f32::INFINITY]),
+        ) {
+            let mut node = Node::EMPTY;
+            let aabbs: Vec<Aabb> = boxes.iter().map(|&(a, b, _)| Aabb::from_points(&[a, b])).collect();
+            node.set_boxes(&aabbs);
+            node.note.marks.iter_mut().zip(&boxes).for_each(|(mark, b)| *mark = b.2);
+            let mut rays = FanRays::<FAN>::default();
+            let r = 3;
+            if rays.prepare(0, &[Ray::new(o, d).with_tfar(tfar); 16]) == 0 {
+                return Ok(());
+            }
+            let rows = Scalar.rows(&node, o);
+            let sizes = Scalar.sizes(&rows, &node.note);
+            let (mut columns, mut covered) = (Columns::NONE, [0.0; WIDTH]);
+            let ends = Scalar.enter_or_end(&rows, &sizes, &rays, r, limit, &mut columns, &mut covered);
+            prop_assert!(ends & !Scalar.smaller(&sizes, limit) == 0);
+            for i in 0..boxes.len() {
+                prop_assert_eq!(ends >> i & 1 == 1, covered[i] > 0.0);
+                prop_assert!((0.0..=1.0).contains(&covered[i]));
+                let entered = columns.0[i] == 1 << r;
+                prop_assert_eq!(ends >> i & 1 == 1 || entered, Scalar.fan_mask(&rows, &rays, r) >> i & 1 == 1);
+                prop_assert!(boxes[i].2 != 0 || ends >> i & 1 == 0);
+            }
+            #[cfg(target_arch = "x86_64")]
+            if let Some(avx2) = Avx2::detect() {
+                let same = avx2.sizes(&rows, &node.note);
+                prop_assert_eq!(avx2.smaller(&same, limit), Scalar.smaller(&sizes, limit));
+                let (mut others, mut part) = (Columns::NONE, [0.0; WIDTH]);
+                prop_assert_eq!(avx2.enter_or_end(&rows, &same, &rays, r, limit, &mut others, &mut part), ends);
+                prop_assert_eq!(others, columns);
+                prop_assert!(ends == 0 || part.map(f32::to_bits) == covered.map(f32::to_bits));
+            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The oracle: plain operations, one child at a time.
 
-use super::{Ahead, FAN, Fan, Kernel, NodeRay, Rows, Stack};
-use crate::node::{Node, WIDTH};
+use super::{Ahead, Columns, FAN, Fan, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack};
+use crate::node::{Node, Note, WIDTH};
 use umbrage_geom::kernel::{
     BlockMask, BlockRay, TriangleBlock,
     fan::{self, FanRays},
@@ -93,21 +93,94 @@ impl Kernel for Scalar {
         left: u32,
         wanted: u32,
         stack: &mut Stack,
-        mut top: usize,
+        top: usize,
     ) -> usize {
         let mut columns = [0; WIDTH];
         for r in (0..FAN).filter(|r| left >> r & 1 == 1) {
             let entered = self.fan_mask(rows, &fan.rays, r) & wanted;
             columns.iter_mut().enumerate().for_each(|(i, column)| *column |= (entered >> i & 1) << r);
         }
+        self.push(node, rows, fan, &Columns(columns), wanted, stack, top)
+    }
+
+    #[inline]
+    fn sizes(self, rows: &Rows, note: &Note) -> Sizes {
+        let mut sizes = Sizes([0.0; WIDTH]);
+        for (i, size) in sizes.0.iter_mut().enumerate() {
+            let (mut square, mut distance) = (0.0, 0.0);
+            for axis in 0..3 {
+                let (low, high) = (rows.0[2 * axis][i], rows.0[2 * axis + 1][i]);
+                square += (high - low) * (high - low);
+                distance += (low + high) * (low + high);
+            }
+            *size = if note.marks[i] == 0 {
+                f32::INFINITY
+            } else {
+                square * (f32::from(note.marks[i]) * SHARE) / distance
+            };
+        }
+        sizes
+    }
+
+    #[inline]
+    fn smaller(self, sizes: &Sizes, limit: f32) -> u32 {
+        (0..WIDTH).fold(0, |mask, i| mask | u32::from(sizes.0[i] < limit) << i)
+    }
+
+    #[inline]
+    fn enter_or_end(
+        self,
+        rows: &Rows,
+        sizes: &Sizes,
+        rays: &FanRays<FAN>,
+        r: usize,
+        limit: f32,
+        columns: &mut Columns,
+        covered: &mut [f32; WIDTH],
+    ) -> u32 {
+        let mut ends = 0;
+        for i in 0..WIDTH {
+            let (mut entry, mut exit) = (f32::NEG_INFINITY, f32::INFINITY);
+            for axis in 0..3 {
+                let row = 2 * axis + (rays.negative[axis][r] as usize & 1);
+                let t0 = rows.0[row][i] * rays.inv_near[axis][r];
+                let t1 = rows.0[row ^ 1][i] * rays.inv_far[axis][r];
+                // The comparisons are false for NaN, which drops it.
+                entry = if t0 > entry { t0 } else { entry };
+                exit = if t1 < exit { t1 } else { exit };
+            }
+            let t0 = if entry > rays.slab_near[r] { entry } else { rays.slab_near[r] };
+            let t1 = if exit < rays.slab_far[r] { exit } else { rays.slab_far[r] };
+            covered[i] = 0.0;
+            if t0 <= t1 && sizes.0[i] < limit {
+                ends |= 1 << i;
+                covered[i] = ((t1 - t0) + RAISE) / ((exit - entry) + RAISE);
+            } else if t0 <= t1 {
+                columns.0[i] |= 1 << r;
+            }
+        }
+        ends
+    }
+
+    #[inline]
+    fn push(
+        self,
+        node: &Node,
+        rows: &Rows,
+        fan: &Fan,
+        columns: &Columns,
+        wanted: u32,
+        stack: &mut Stack,
+        mut top: usize,
+    ) -> usize {
         let key = |i: usize| {
             let middle = [0, 1, 2].map(|axis| rows.0[2 * axis][i] + rows.0[2 * axis + 1][i]);
             let [x, y, z] = [0, 1, 2].map(|axis| fan.ahead.direction[axis] * middle[axis]);
-            (columns[i].count_ones() as f32 - (x + y + z + fan.ahead.offset).clamp(0.0, Ahead::MOST))
+            (columns.0[i].count_ones() as f32 - (x + y + z + fan.ahead.offset).clamp(0.0, Ahead::MOST))
                 * node.merit(i)
         };
         let (bottom, mut keys) = (top, [0.0; WIDTH]);
-        for i in (0..WIDTH).filter(|&i| columns[i] != 0) {
+        for i in (0..WIDTH).filter(|&i| columns.0[i] != 0 && wanted >> i & 1 == 1) {
             // Insertion, the largest key on top.
             let mut at = top;
             while at > bottom && keys[at - 1 - bottom] > key(i) {
@@ -116,7 +189,8 @@ impl Kernel for Scalar {
                 keys[at - bottom] = keys[at - 1 - bottom];
                 at -= 1;
             }
-            (stack.children[at], stack.rays[at], keys[at - bottom]) = (node.children[i], columns[i], key(i));
+            (stack.children[at], stack.rays[at], keys[at - bottom]) =
+                (node.children[i], columns.0[i], key(i));
             top += 1;
         }
         top

@@ -1,7 +1,7 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::{Ahead, Avx2, FAN, Fan, Job, Kernel, NodeRay, Rows, Stack};
-use crate::node::{Node, WIDTH};
+use super::{Ahead, Avx2, Columns, FAN, Fan, Job, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack};
+use crate::node::{Node, Note, WIDTH};
 use std::arch::x86_64::*;
 use umbrage_geom::kernel::{
     BlockMask, BlockRay, TriangleBlock,
@@ -96,16 +96,29 @@ fn ends(rows: &Rows, axis: usize, negative: u32) -> [__m256; 2] {
     unsafe { [_mm256_load_ps(rows.0[row].as_ptr()), _mm256_load_ps(rows.0[row ^ 1].as_ptr())] }
 }
 
-/// All bits set for the children that ray `r` may enter, by [`ends`] of each axis.
+/// Later entry and earlier exit of each child for ray `r`, from those given, by [`ends`] of each axis.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn fan_slabs<const N: usize>(ends: [[__m256; 2]; 3], rays: &FanRays<N>, r: usize) -> __m256 {
-    let (mut entry, mut exit) = (_mm256_set1_ps(rays.slab_near[r]), _mm256_set1_ps(rays.slab_far[r]));
+fn fan_entries<const N: usize>(
+    ends: [[__m256; 2]; 3],
+    rays: &FanRays<N>,
+    r: usize,
+    (mut entry, mut exit): (__m256, __m256),
+) -> (__m256, __m256) {
     for (axis, [near, far]) in ends.into_iter().enumerate() {
         // `max` and `min` return the second operand for NaN, which drops it.
         entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(rays.inv_near[axis][r])), entry);
         exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(rays.inv_far[axis][r])), exit);
     }
+    (entry, exit)
+}
+
+/// All bits set for the children that ray `r` may enter.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn fan_slabs<const N: usize>(ends: [[__m256; 2]; 3], rays: &FanRays<N>, r: usize) -> __m256 {
+    let segment = (_mm256_set1_ps(rays.slab_near[r]), _mm256_set1_ps(rays.slab_far[r]));
+    let (entry, exit) = fan_entries(ends, rays, r, segment);
     _mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)
 }
 
@@ -142,6 +155,67 @@ fn columns(rows: &Rows, fan: &Fan, mut left: u32) -> __m256i {
         }
     }
     columns
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn sizes(rows: &Rows, note: &Note) -> Sizes {
+    let (mut square, mut distance) = (_mm256_setzero_ps(), _mm256_setzero_ps());
+    for axis in 0..3 {
+        // SAFETY: rows are eight floats, aligned as all of them are.
+        let (low, high) = unsafe {
+            (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
+        };
+        let (size, middle) = (_mm256_sub_ps(high, low), _mm256_add_ps(low, high));
+        square = _mm256_add_ps(square, _mm256_mul_ps(size, size));
+        distance = _mm256_add_ps(distance, _mm256_mul_ps(middle, middle));
+    }
+    let mut sizes = Sizes([0.0; WIDTH]);
+    // SAFETY: there are eight marks; sizes are eight aligned floats.
+    unsafe {
+        let marks = _mm256_cvtepu8_epi32(_mm_loadl_epi64(note.marks.as_ptr().cast()));
+        let share = _mm256_mul_ps(_mm256_cvtepi32_ps(marks), _mm256_set1_ps(SHARE));
+        let never = _mm256_castsi256_ps(_mm256_cmpeq_epi32(marks, _mm256_setzero_si256()));
+        let seen = _mm256_div_ps(_mm256_mul_ps(square, share), distance);
+        let seen = _mm256_blendv_ps(seen, _mm256_set1_ps(f32::INFINITY), never);
+        _mm256_store_ps(sizes.0.as_mut_ptr(), seen);
+    }
+    sizes
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn enter_or_end(
+    rows: &Rows,
+    sizes: &Sizes,
+    rays: &FanRays<FAN>,
+    r: usize,
+    limit: f32,
+    columns: &mut Columns,
+    covered: &mut [f32; WIDTH],
+) -> u32 {
+    let line = (_mm256_set1_ps(f32::NEG_INFINITY), _mm256_set1_ps(f32::INFINITY));
+    let (entry, exit) = fan_entries(ends_of(rows, rays, r), rays, r, line);
+    let t0 = _mm256_max_ps(entry, _mm256_set1_ps(rays.slab_near[r]));
+    let t1 = _mm256_min_ps(exit, _mm256_set1_ps(rays.slab_far[r]));
+    let hit = _mm256_cmp_ps::<_CMP_LE_OQ>(t0, t1);
+    // SAFETY: sizes and columns are eight floats and integers, aligned; so many can be stored in `covered`.
+    unsafe {
+        let fits = _mm256_cmp_ps::<_CMP_LT_OQ>(_mm256_load_ps(sizes.0.as_ptr()), _mm256_set1_ps(limit));
+        let entered = _mm256_castps_si256(_mm256_andnot_ps(fits, hit));
+        let at = columns.0.as_mut_ptr().cast();
+        let bits = _mm256_and_si256(entered, _mm256_set1_epi32(1 << r));
+        _mm256_store_si256(at, _mm256_or_si256(_mm256_load_si256(at), bits));
+        let stops = _mm256_and_ps(hit, fits);
+        let ends = _mm256_movemask_ps(stops) as u32;
+        if ends != 0 {
+            let raise = _mm256_set1_ps(RAISE);
+            let inside = _mm256_add_ps(_mm256_sub_ps(t1, t0), raise);
+            let way = _mm256_add_ps(_mm256_sub_ps(exit, entry), raise);
+            _mm256_storeu_ps(covered.as_mut_ptr(), _mm256_and_ps(stops, _mm256_div_ps(inside, way)));
+        }
+        ends
+    }
 }
 
 #[inline]
@@ -203,7 +277,21 @@ fn fan_push(
     stack: &mut Stack,
     top: usize,
 ) -> usize {
-    let columns = columns(rows, fan, left);
+    push(node, rows, fan, columns(rows, fan, left), wanted, stack, top)
+}
+
+/// Pushes the `wanted` children, `columns` being the rays that enter each.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,popcnt")]
+fn push(
+    node: &Node,
+    rows: &Rows,
+    fan: &Fan,
+    columns: __m256i,
+    wanted: u32,
+    stack: &mut Stack,
+    top: usize,
+) -> usize {
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     let asked =
         _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32(wanted as i32), lanes), _mm256_set1_epi32(1));
@@ -328,6 +416,54 @@ impl Kernel for Avx2 {
     ) -> usize {
         // SAFETY: `self` proves the target features.
         unsafe { fan_push(node, rows, fan, left, wanted, stack, top) }
+    }
+
+    #[inline(always)]
+    fn push(
+        self,
+        node: &Node,
+        rows: &Rows,
+        fan: &Fan,
+        columns: &Columns,
+        wanted: u32,
+        stack: &mut Stack,
+        top: usize,
+    ) -> usize {
+        // SAFETY: `self` proves the target features; columns are eight aligned integers.
+        unsafe {
+            let columns = _mm256_load_si256(columns.0.as_ptr().cast());
+            push(node, rows, fan, columns, wanted, stack, top)
+        }
+    }
+
+    #[inline(always)]
+    fn sizes(self, rows: &Rows, note: &Note) -> Sizes {
+        // SAFETY: `self` proves the target features.
+        unsafe { sizes(rows, note) }
+    }
+
+    #[inline(always)]
+    fn smaller(self, sizes: &Sizes, limit: f32) -> u32 {
+        // SAFETY: `self` proves the target features; sizes are eight aligned floats.
+        unsafe {
+            let sizes = _mm256_load_ps(sizes.0.as_ptr());
+            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(sizes, _mm256_set1_ps(limit))) as u32
+        }
+    }
+
+    #[inline(always)]
+    fn enter_or_end(
+        self,
+        rows: &Rows,
+        sizes: &Sizes,
+        rays: &FanRays<FAN>,
+        r: usize,
+        limit: f32,
+        columns: &mut Columns,
+        covered: &mut [f32; WIDTH],
+    ) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { enter_or_end(rows, sizes, rays, r % FAN, limit, columns, covered) }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{
     ABOVE_SLOPE, BlockMask, BlockRay, BoxBlock, CellBlock, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST,
-    Lanes, SHEAR_ERROR, TriangleBlock,
+    Lanes, SHEAR_ERROR, TriangleBlock, Work,
 };
 use crate::SlabRay;
 use std::arch::x86_64::*;
@@ -20,6 +20,17 @@ impl Avx2 {
             && is_x86_feature_detected!("lzcnt")
             && is_x86_feature_detected!("popcnt");
         all.then_some(Self(()))
+    }
+
+    /// Runs `work` compiled for these instructions.
+    #[inline]
+    pub(super) fn run<W: Work>(self, work: W) -> W::Output {
+        #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
+        fn shell<W: Work>(work: W) -> W::Output {
+            work.run()
+        }
+        // SAFETY: `self` proves the target features.
+        unsafe { shell(work) }
     }
 
     /// As [`TriangleBlock::above`], up to rounding.

@@ -4,7 +4,7 @@
 //! keeps the error wins. Cost is counted in steps of traversal, not timed, so that the choice is the same every time.
 
 use super::{ConeRay, PrefilterError, Prefiltered, Query};
-use umbrage_accel::Counters;
+use umbrage_accel::Statistics;
 
 /// Rays of the pilot's exact answers.
 const REFERENCE: u32 = 400;
@@ -18,6 +18,24 @@ const RAYS: [u32; 13] = [1, 2, 4, 6, 9, 12, 16, 25, 36, 49, 64, 100, 144];
 /// Steps that a ray costs before its first node.
 const PREPARATION: f64 = 3.0;
 
+/// Work in steps: a node for all rays of a fan is one, a leaf for a ray, or a ray that ends at a node, half of one.
+#[derive(Default)]
+struct Steps(f64);
+
+impl Statistics for Steps {
+    fn node(&mut self, _: u32) {
+        self.0 += 1.0;
+    }
+
+    fn triangles(&mut self, _: u32) {
+        self.0 += 0.5;
+    }
+
+    fn ends(&mut self, _: u32, _: u32) {
+        self.0 += 0.5;
+    }
+}
+
 /// What a pilot chose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
@@ -27,7 +45,7 @@ pub struct Plan {
     pub rays: u32,
     /// RMSE of visibility that the pilot measured, without the error of its own reference.
     pub error: f32,
-    /// Nodes, leaves and preparations a receiver, in steps.
+    /// Work a receiver, in steps: nodes, leaves, ends of rays, preparations.
     pub steps: f64,
 }
 
@@ -56,29 +74,26 @@ impl Prefiltered {
             return Err(PrefilterError::Target { target, receivers });
         }
         let mut cones = Vec::new();
-        let mut mean = |receiver: usize, rays: u32, seed: u32, query: &Query, counters: &mut Counters| {
+        let mut mean = |receiver: usize, rays: u32, seed: u32, query: &Query, steps: &mut Steps| {
             cones.clear();
             fan(receiver, rays, seed, &mut cones);
             let mut passed = vec![1.0; cones.len()];
-            self.transmittances_with(&cones, query, &mut passed, counters);
+            self.transmittances_with(&cones, query, &mut passed, steps);
             passed.iter().map(|&x| f64::from(x)).sum::<f64>() / (cones.len() as f64).max(1.0)
         };
-        let mut unused = Counters::default();
+        let mut unused = Steps::default();
         // Two halves, whose difference is the reference's own error.
         let halves: Vec<[f64; 2]> = (0..receivers)
             .map(|i| [1, 2].map(|seed| mean(i, REFERENCE / 2, seed, &Query::EXACT, &mut unused)))
             .collect();
         let own = halves.iter().map(|[a, b]| (0.5 * (a - b)).powi(2)).sum::<f64>() / receivers as f64;
         let mut trial = |query: &Query, rays: u32| {
-            let mut counters = Counters::default();
+            let mut steps = Steps::default();
             let squares: f64 = (0..receivers)
-                .map(|i| {
-                    (mean(i, rays, 3, query, &mut counters) - 0.5 * (halves[i][0] + halves[i][1])).powi(2)
-                })
+                .map(|i| (mean(i, rays, 3, query, &mut steps) - 0.5 * (halves[i][0] + halves[i][1])).powi(2))
                 .sum();
-            let steps = counters.nodes as f64 + counters.triangle_tests as f64 / 4.0;
             let error = (squares / receivers as f64 - own).max(0.0).sqrt();
-            Trial { error, steps: steps / receivers as f64 + PREPARATION * f64::from(rays) }
+            Trial { error, steps: steps.0 / receivers as f64 + PREPARATION * f64::from(rays) }
         };
         let mut best: Option<Plan> = None;
         let queries = THRESHOLDS.map(|t| Query::new(t).expect("above 0"));

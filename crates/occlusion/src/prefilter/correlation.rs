@@ -9,15 +9,12 @@
 //!
 //! Triangles are connected when they share the position of a vertex, so soups and indexed meshes are the same.
 
-use super::{
-    Correlation,
-    wide::{LEAF, WIDTH, Wide},
-};
+use super::Correlation;
 use std::{
     collections::HashMap,
     hash::{BuildHasherDefault, Hasher},
 };
-use umbrage_accel::BinaryTree;
+use umbrage_accel::{BinaryTree, Bvh, Child};
 use umbrage_geom::{
     glam::Vec3,
     sampling::{combine, hash},
@@ -183,43 +180,68 @@ pub(crate) fn heights(tree: &BinaryTree) -> Vec<f32> {
     heights
 }
 
-/// A bit for each child that may end rays, node by node. `sources` are the nodes of `tree` that the children stand for.
+/// The same of nodes with up to eight children: a binary tree over `n` things has `log2 n` levels.
+struct Heights(Vec<f32>);
+
+impl Heights {
+    fn of(&self, bvh: &Bvh, child: Child) -> f32 {
+        match child {
+            Child::Node(node) => self.0[node as usize],
+            Child::Leaf(leaf) => (bvh.view().leaf(leaf).len() as f32).log2(),
+        }
+    }
+
+    fn new(bvh: &Bvh) -> Self {
+        let mut this = Self(vec![0.0; bvh.view().node_count()]);
+        for node in (0..this.0.len()).rev() {
+            let (mut sum, mut count) = (0.0, 0.0f32);
+            for (_, child) in bvh.children(node as u32) {
+                sum += this.of(bvh, child);
+                count += 1.0;
+            }
+            this.0[node] = sum / count.max(1.0) + count.max(1.0).log2();
+        }
+        this
+    }
+}
+
+/// A bit for each child that may end rays, node by node.
 pub(crate) fn may_stop(
     correlation: Correlation,
-    wide: &Wide,
-    tree: &BinaryTree,
-    sources: &[[u32; WIDTH]],
+    bvh: &Bvh,
     positions: &[[f32; 3]],
     triangles: &[[u32; 3]],
 ) -> Vec<u8> {
+    let view = bvh.view();
+    let mut masks = vec![0u8; view.node_count()];
     match correlation {
         Correlation::Height(height) => {
-            let heights = heights(tree);
-            let tall = |source: u32| heights.get(source as usize).is_some_and(|&h| h > height);
-            let masks = sources.iter().map(|row| (0..WIDTH).fold(0, |m, i| m | u8::from(tall(row[i])) << i));
-            masks.collect()
+            let heights = Heights::new(bvh);
+            for (node, mask) in masks.iter_mut().enumerate() {
+                for (slot, (_, child)) in bvh.children(node as u32).enumerate() {
+                    *mask |= u8::from(heights.of(bvh, child) > height) << slot;
+                }
+            }
         }
         Correlation::Automatic => {
             let needed = needed_radii(positions, triangles);
-            let mut masks = vec![0u8; wide.nodes.len()];
             // Largest radius needed below each node.
-            let mut below = vec![0f32; wide.nodes.len()];
-            for (i, node) in wide.nodes.iter().enumerate().rev() {
-                for slot in 0..node.len() {
-                    let child = node.children[slot];
-                    let radius = if child & LEAF != 0 {
-                        let prims = wide.leaf_prims((child & !LEAF) as usize);
-                        prims.iter().fold(0f32, |m, &prim| m.max(needed[prim as usize]))
-                    } else {
-                        below[child as usize]
+            let mut below = vec![0f32; masks.len()];
+            for node in (0..masks.len()).rev() {
+                for (slot, (aabb, child)) in bvh.children(node as u32).enumerate() {
+                    let radius = match child {
+                        Child::Leaf(leaf) => {
+                            view.prims(leaf).iter().fold(0f32, |m, &prim| m.max(needed[prim as usize]))
+                        }
+                        Child::Node(child) => below[child as usize],
                     };
-                    below[i] = below[i].max(radius);
-                    masks[i] |= u8::from(0.5 * node.child_box(slot).diagonal() >= radius) << slot;
+                    below[node] = below[node].max(radius);
+                    masks[node] |= u8::from(0.5 * aabb.diagonal() >= radius) << slot;
                 }
             }
-            masks
         }
     }
+    masks
 }
 
 #[cfg(test)]

@@ -1,281 +1,179 @@
-//! Rays of one origin walk together, each answered as if alone.
+//! A ray with a solid angle through the hierarchy (`[Lacewell08]`, Algorithm 1, by the node instead of by the box).
 //!
-//! Here: the walk of a fan. Not here: rays of different origins (`packet.rs`), boxes and triangles (`kernel`).
+//! Here: which children of a node end which rays of a fan, and what rays lose. Not here: the walk itself
+//! ([`Bvh::walk_fans`]), opacities (`opacity.rs`).
 //!
-//! Seen from one origin a node's boxes move, and their sizes are compared with their distances, once for all rays; so is a
-//! leaf ([`umbrage_geom::kernel::fan`]). Rays are prepared sixteen at a time.
+//! Departures: children are composited by adding optical depths; nothing is interpolated between levels, see
+//! [`super::Blend`]; a node crossed in part dims in part; the ray ends where 10 bits are lost.
 
 use super::{
-    ConeRay, Directions, Query,
-    kernel::{FanNode, Kernel, NO_RAYS, dot},
+    ConeRay, Directions, Query, SegmentEnds,
+    depths::Depths,
     query::Cones,
-    storage::Table,
-    walk::{Lost, Scene, StopStatistics},
-    wide::{LEAF, MAX_LEVELS, WIDTH},
+    storage::{Table, WIDTH},
 };
-use std::ops::Range;
+use umbrage_accel::{Bvh, FAN, FanGoal, FanRay, Note, Statistics, WALKS};
 use umbrage_geom::{
-    OpticalDepth,
-    kernel::{LANES, fan::FanRays},
+    OpticalDepth, Ray,
+    kernel::{BlockMask, LANES, TriangleBlock},
     segment_hits_triangle,
 };
 
-/// Rays in a fan.
-pub(crate) const FAN: usize = 16;
+/// Optical depth in bits from which an approximate ray counts as blocked: less than a thousandth is lost.
+const BLACK: f32 = 10.0;
 
-/// Fewest rays that are worth a fan.
-pub(crate) const SMALLEST: usize = 3;
+/// Rays prepared at once.
+const CHUNK: usize = 8;
 
-/// Fans that take turns, so that one works while others wait for memory.
-const TURNS: usize = 6;
+/// A share in `[0, 1]` of the squared radius that a child counts with, as a mark of its node; marks of 0 never end rays.
+pub(crate) fn mark(share: f32) -> u8 {
+    (share * 255.0).round().clamp(1.0, 255.0) as u8
+}
 
 /// One fan on its way.
-pub(crate) struct Fan<V> {
-    rays: FanRays<FAN>,
-    cones: Cones<FAN>,
-    views: [V; FAN],
-    lost: [Lost; FAN],
-    origin: [f32; 3],
-    /// Largest `kappa` of any ray.
-    widest: f32,
+struct Fan<V> {
     /// Place of the first ray.
     first: usize,
-    count: usize,
-    /// Rays that the fan can take.
-    fit: u16,
-    /// Rays that are not blocked so far.
-    alive: u16,
-    /// Children to visit with the rays that enter them.
-    children: [u32; (WIDTH - 1) * MAX_LEVELS + WIDTH],
-    masks: [u16; (WIDTH - 1) * MAX_LEVELS + WIDTH],
-    top: usize,
+    /// Rays that the fan answers.
+    fit: u32,
+    /// Rays that are blocked.
+    black: u32,
+    views: [V; FAN],
+    /// Lost in nodes, bits.
+    stored: [f32; FAN],
+    /// What may be lost until the ray is black.
+    limit: [f32; FAN],
+    /// The same, less what is lost in triangles.
+    room: [f32; FAN],
+    /// Lost in triangles.
+    exact: [OpticalDepth; FAN],
 }
 
-impl<V: Copy> Fan<V> {
-    fn new(cones: Cones<FAN>, view: V) -> Self {
+impl<V: Copy + Default> Fan<V> {
+    fn new() -> Self {
         Self {
-            rays: FanRays::default(),
-            cones,
-            views: [view; FAN],
-            lost: [Lost::nothing(0.0); FAN],
-            origin: [0.0; 3],
-            widest: 0.0,
             first: 0,
-            count: 0,
             fit: 0,
-            alive: 0,
-            children: [0; (WIDTH - 1) * MAX_LEVELS + WIDTH],
-            masks: [0; (WIDTH - 1) * MAX_LEVELS + WIDTH],
-            top: 0,
+            black: 0,
+            views: [V::default(); FAN],
+            stored: [0.0; FAN],
+            limit: [0.0; FAN],
+            room: [0.0; FAN],
+            exact: [OpticalDepth::CLEAR; FAN],
         }
     }
+}
 
-    /// Takes up `cones` of one finite origin, at most [`FAN`], the first of which has the place `first`.
-    #[inline(always)]
-    fn start<T: Table<View = V>>(
-        &mut self,
-        table: &T,
+/// Answers cones through [`Bvh::walk_fans`].
+pub(crate) struct Answer<'a, T: Table> {
+    pub(crate) bvh: &'a Bvh,
+    pub(crate) depths: &'a Depths,
+    pub(crate) table: &'a T,
+    pub(crate) directions: Directions,
+    pub(crate) query: &'a Query,
+    pub(crate) cones: &'a [ConeRay],
+    pub(crate) passed: &'a mut [f32],
+    fans: Vec<Fan<T::View>>,
+}
+
+impl<'a, T: Table> Answer<'a, T> {
+    pub(crate) fn new(
+        (bvh, depths, table): (&'a Bvh, &'a Depths, &'a T),
         directions: Directions,
-        query: &Query,
-        first: usize,
-        cones: &[ConeRay],
-    ) {
-        let mut rays = [cones[0].ray; FAN];
-        for (ray, cone) in rays.iter_mut().zip(cones) {
-            *ray = cone.ray;
-        }
-        let count = cones.len().min(FAN);
-        self.fit = self.rays.prepare(0, &rays[..count]) as u16;
-        self.cones = Cones::new(query, directions, cones);
-        self.widest = 0.0;
-        for i in 0..count {
-            let kappa = self.cones.kappa[i];
-            self.views[i] = table.view(self.cones.cells[i], self.cones.direction(i));
-            self.lost[i] = Lost::nothing(kappa);
-            self.widest = if kappa > self.widest { kappa } else { self.widest };
-        }
-        self.origin = rays[0].origin.to_array();
-        (self.first, self.count, self.alive) = (first, count, self.fit);
-        self.top = usize::from(self.fit != 0);
-        (self.children[0], self.masks[0]) = (0, self.fit);
+        query: &'a Query,
+        cones: &'a [ConeRay],
+        passed: &'a mut [f32],
+    ) -> Self {
+        Self { bvh, depths, table, directions, query, cones, passed, fans: Vec::with_capacity(WALKS) }
     }
 
-    /// Visits one node or leaf; false if there was none left.
+    /// Walks all cones.
+    pub(crate) fn run(mut self, stats: &mut impl Statistics) {
+        let rays: Vec<Ray> = self.cones.iter().map(|cone| cone.ray).collect();
+        self.bvh.walk_fans(&rays, &mut self, stats);
+    }
+}
+
+impl<T: Table> FanGoal for Answer<'_, T> {
+    const ENDS: bool = true;
+
     #[inline(always)]
-    fn step<K: Kernel, T: Table<View = V>, S: StopStatistics>(
-        &mut self,
-        kernel: K,
-        scene: &Scene<T>,
-        cones: &[ConeRay],
-        stats: &mut S,
-    ) -> bool {
-        let (child, rest) = loop {
-            if self.top == 0 {
-                return false;
-            }
-            self.top -= 1;
-            let rest = self.masks[self.top] & self.alive;
-            if rest != 0 {
-                break (self.children[self.top], rest);
-            }
-        };
-        if child & LEAF != 0 {
-            self.leaf(kernel, scene, (child & !LEAF) as usize, rest, cones, stats);
-        } else {
-            self.node(kernel, scene, child as usize, rest, stats);
+    fn start(&mut self, walk: usize, first: usize, fit: u32, limits: &mut [f32; FAN]) {
+        while self.fans.len() <= walk {
+            self.fans.push(Fan::new());
         }
-        true
+        let fan = &mut self.fans[walk];
+        (fan.first, fan.fit, fan.black) = (first, fit, 0);
+        let count = (u32::BITS - fit.leading_zeros()) as usize;
+        for at in (0..count.min(FAN)).step_by(CHUNK) {
+            let cones = Cones::<CHUNK>::new(self.query, self.directions, &self.cones[first + at..]);
+            for i in 0..CHUNK {
+                let (r, kappa) = ((at + i) % FAN, cones.kappa[i]);
+                limits[r] = kappa;
+                fan.views[r] = self.table.view(cones.cells[i], cones.direction(i));
+                fan.stored[r] = 0.0;
+                // A ray that no node may end goes on until nothing at all is left.
+                fan.limit[r] = if kappa > 0.0 { BLACK } else { f32::INFINITY };
+                fan.room[r] = fan.limit[r];
+                fan.exact[r] = OpticalDepth::CLEAR;
+            }
+        }
     }
 
     #[inline(always)]
-    fn leaf<K: Kernel, T: Table<View = V>, S: StopStatistics>(
-        &mut self,
-        kernel: K,
-        scene: &Scene<T>,
-        leaf: usize,
-        mut rest: u16,
-        cones: &[ConeRay],
-        stats: &mut S,
-    ) {
-        let block = &scene.wide.blocks[leaf];
-        let planes = kernel.planes(block, self.origin);
-        while rest != 0 {
-            let r = rest.trailing_zeros() as usize % FAN;
-            rest &= rest - 1;
-            let mask = kernel.fan_filter(&planes, &self.rays, r);
-            stats.triangles(block.len() as u32);
-            stats.uncertain(mask.uncertain.count_ones());
-            let mut open = mask.certain | mask.uncertain;
-            let mut depth = OpticalDepth::CLEAR;
-            while open != 0 {
-                let lane = open.trailing_zeros() as usize % LANES;
-                open &= open - 1;
-                let ray = &cones[self.first + r].ray;
-                if mask.certain >> lane & 1 == 1 || segment_hits_triangle(ray, block.get(lane)) {
-                    depth += scene.depths.of(leaf, lane);
+    fn end(&mut self, ray: FanRay, note: &Note, slots: u32, covered: &[f32; WIDTH]) -> bool {
+        let (fan, r) = (&mut self.fans[ray.walk], ray.column % FAN);
+        let depths = self.table.depths(fan.views[r], note.index);
+        let mut bits = [0f32; WIDTH];
+        match self.query.ends {
+            SegmentEnds::Fraction => {
+                for i in 0..WIDTH {
+                    bits[i] = depths[i] * covered[i];
                 }
             }
-            if depth != OpticalDepth::CLEAR {
-                self.alive &= !(u16::from(self.lost[r].add_exact(depth)) << r);
+            SegmentEnds::Whole => {
+                for i in 0..WIDTH {
+                    bits[i] = depths[i] * (slots >> i & 1) as f32;
+                }
             }
         }
+        fan.stored[r] +=
+            ((bits[0] + bits[4]) + (bits[2] + bits[6])) + ((bits[1] + bits[5]) + (bits[3] + bits[7]));
+        let black = fan.stored[r] > fan.room[r];
+        fan.black |= u32::from(black) << r;
+        black
     }
 
     #[inline(always)]
-    fn node<K: Kernel, T: Table<View = V>, S: StopStatistics>(
-        &mut self,
-        kernel: K,
-        scene: &Scene<T>,
-        index: usize,
-        mut rest: u16,
-        stats: &mut S,
-    ) {
-        let node = &scene.wide.nodes[index];
-        let seen: FanNode = kernel.look(node, self.origin);
-        let mut columns = NO_RAYS;
-        // Far up no child is small enough for any ray.
-        let may_stop = kernel.any_below(&seen, self.widest);
-        while rest != 0 {
-            let r = rest.trailing_zeros() as usize % FAN;
-            rest &= rest - 1;
-            stats.node(node.len() as u32);
-            if !may_stop {
-                kernel.enter(&seen, &self.rays, r, &mut columns);
-                continue;
-            }
-            let (kappa, raise) = (self.cones.kappa[r], self.cones.raise);
-            let (stop, fraction) = kernel.enter_or_stop(&seen, &self.rays, r, kappa, raise, &mut columns);
-            if stop != 0 {
-                stats.stops(stop, || scene.wide.levels.partition_point(|level| level.end <= index));
-                let depths = scene.table.depths(self.views[r], index);
-                let black = self.lost[r].add_stored(dot(&depths, &fraction));
-                self.alive &= !(u16::from(black) << r);
+    fn leaf(&mut self, ray: FanRay, _: u32, block: &TriangleBlock, mask: BlockMask) -> bool {
+        let FanRay { index, walk, column } = ray;
+        let (fan, r) = (&mut self.fans[walk], column % FAN);
+        let mut depth = fan.exact[r];
+        let mut open = mask.certain | mask.uncertain;
+        while open != 0 {
+            let lane = open.trailing_zeros() as usize % LANES;
+            open &= open - 1;
+            let certain = mask.certain >> lane & 1 == 1;
+            if certain || segment_hits_triangle(&self.cones[index].ray, block.get(lane)) {
+                depth += self.depths.of(block, lane);
             }
         }
-        // The last slot first on to the stack, so that nodes are visited in the order of a single ray.
-        let mut entered = kernel.nonzero(&columns) & seen.used;
-        assert!(self.top + WIDTH <= self.children.len(), "the tree has no more levels than the stack");
-        while entered != 0 {
-            let slot = (31 - entered.leading_zeros()) as usize % WIDTH;
-            entered &= !(1 << slot);
-            let child = node.children[slot];
-            (self.children[self.top], self.masks[self.top]) = (child, columns.0[slot] as u16);
-            self.top += 1;
-            if child & LEAF != 0 {
-                kernel.prefetch(&scene.wide.blocks, (child & !LEAF) as usize);
-            } else {
-                kernel.prefetch(&scene.wide.nodes, child as usize);
-                scene.table.prefetch(kernel, self.views[0], child as usize);
-            }
-        }
+        fan.exact[r] = depth;
+        fan.room[r] = fan.limit[r] - depth.bits();
+        let black = fan.stored[r] > fan.room[r] || depth.is_opaque();
+        fan.black |= u32::from(black) << r;
+        black
     }
-}
 
-/// Answers fans; rays that they can't take are left as they are and listed. `next` gives the places of rays of one finite origin, at
-/// most [`FAN`], until there are none.
-#[inline(always)]
-#[allow(clippy::too_many_arguments)] // the state of one loop
-pub(crate) fn answer<K: Kernel, T: Table, S: StopStatistics>(
-    kernel: K,
-    scene: &Scene<T>,
-    directions: Directions,
-    cones: &[ConeRay],
-    query: &Query,
-    passed: &mut [f32],
-    fans: &mut Fans<T::View>,
-    mut next: impl Iterator<Item = Range<usize>>,
-    stats: &mut S,
-) {
-    let Fans { fans, order, left } = fans;
-    left.clear();
-    let mut busy = 0;
-    loop {
-        while busy < TURNS {
-            let Some(range) = next.next() else { break };
-            let (first, cones) = (range.start, &cones[range]);
-            if busy == fans.len() {
-                let prepared = Cones::new(query, directions, cones);
-                let view = scene.table.view(prepared.cells[0], prepared.direction(0));
-                fans.push(Fan::new(prepared, view));
-                order.push(busy);
-            }
-            fans[order[busy]].start(scene.table, directions, query, first, cones);
-            busy += 1;
+    #[inline(always)]
+    fn finish(&mut self, walk: usize) {
+        let fan = &self.fans[walk];
+        for r in (0..FAN).filter(|r| fan.fit >> r & 1 == 1) {
+            // Powers take longer than a node.
+            let (stored, exact) = (fan.stored[r], fan.exact[r]);
+            let exact = if exact == OpticalDepth::CLEAR { 1.0 } else { exact.transmittance() };
+            let passed = if stored == 0.0 { exact } else { exact * (-stored).exp2() };
+            self.passed[fan.first + r] = if fan.black >> r & 1 == 1 { 0.0 } else { passed };
         }
-        if busy == 0 {
-            return;
-        }
-        let mut turn = 0;
-        while turn < busy {
-            let fan = &mut fans[order[turn]];
-            if fan.step(kernel, scene, cones, stats) {
-                turn += 1;
-                continue;
-            }
-            for r in 0..fan.count {
-                if fan.fit >> r & 1 == 0 {
-                    left.push(fan.first + r);
-                } else {
-                    let blocked = fan.alive >> r & 1 == 0;
-                    passed[fan.first + r] = if blocked { 0.0 } else { fan.lost[r].transmittance() };
-                }
-            }
-            busy -= 1;
-            order.swap(turn, busy);
-        }
-    }
-}
-
-/// What fans need, kept from one batch to the next.
-pub(crate) struct Fans<V> {
-    fans: Vec<Fan<V>>,
-    order: Vec<usize>,
-    /// Places of rays that no fan took.
-    pub(crate) left: Vec<usize>,
-}
-
-impl<V> Fans<V> {
-    pub(crate) fn new() -> Self {
-        Self { fans: Vec::with_capacity(TURNS), order: Vec::with_capacity(TURNS), left: Vec::new() }
     }
 }

@@ -1,8 +1,8 @@
 //! Prefiltered hierarchies placed several times: each is built once and shared.
 
-use super::{ConeRay, PrefilterError, Prefiltered, Query, walk::StopStatistics};
+use super::{ConeRay, PrefilterError, Prefiltered, Query};
 use std::{ops::ControlFlow, sync::Arc};
-use umbrage_accel::InstancedBvh;
+use umbrage_accel::{InstancedBvh, Statistics};
 use umbrage_geom::{Ray, glam::DMat3};
 
 /// Transmittance that counts as none: 10 bits.
@@ -54,7 +54,7 @@ impl<'a> PrefilteredInstances<'a> {
     }
 
     /// [`Self::transmittance`], counted.
-    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl StopStatistics) -> f32 {
+    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl Statistics) -> f32 {
         let black = if query.threshold() < f32::INFINITY && ray.solid_angle > 0.0 { BLACK } else { 0.0 };
         let mut passed = 1.0;
         // Two borrows of the statistics: the top level counts apart.

@@ -27,19 +27,16 @@ pub mod published;
 
 mod control;
 mod correlation;
+mod depths;
 mod directions;
 mod error;
 mod fan;
 mod instances;
-mod kernel;
 mod opacity;
 mod options;
-mod packet;
 mod prefiltered;
 mod query;
 mod storage;
-mod walk;
-mod wide;
 
 pub use control::Plan;
 pub use directions::Directions;
@@ -47,4 +44,3 @@ pub use error::PrefilterError;
 pub use instances::PrefilteredInstances;
 pub use options::{Blend, CellSampling, Correlation, PrefilterOptions, Query, SegmentEnds, Storage};
 pub use prefiltered::{Bytes, ConeRay, Prefiltered};
-pub use walk::StopStatistics;

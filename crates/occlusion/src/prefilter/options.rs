@@ -30,8 +30,10 @@ pub enum Storage {
     /// Cube map of `f32`.
     CubeF32,
     /// Cube map of bytes: square roots of optical depths up to 12 bits.
-    #[default]
     CubeU8,
+    /// Cube map of half bytes, rounded at random.
+    #[default]
+    CubeU4,
     /// Spherical harmonics of bands 0 and 2, six bytes. Odd bands are 0, since opposite directions see the same.
     Harmonics2,
     /// Bands 0, 2 and 4, fifteen bytes.
@@ -44,14 +46,22 @@ pub enum Storage {
 
 impl Storage {
     /// All forms.
-    pub const ALL: [Self; 6] =
-        [Self::CubeF32, Self::CubeU8, Self::Harmonics4, Self::Harmonics2, Self::Average, Self::SphereArea];
+    pub const ALL: [Self; 7] = [
+        Self::CubeF32,
+        Self::CubeU8,
+        Self::CubeU4,
+        Self::Harmonics4,
+        Self::Harmonics2,
+        Self::Average,
+        Self::SphereArea,
+    ];
 
     /// A name for tables and command lines.
     pub fn name(self) -> &'static str {
         match self {
             Self::CubeF32 => "cube-f32",
             Self::CubeU8 => "cube-u8",
+            Self::CubeU4 => "cube-u4",
             Self::Harmonics2 => "sh2",
             Self::Harmonics4 => "sh4",
             Self::Average => "dc",
@@ -86,7 +96,7 @@ impl Default for PrefilterOptions {
             directions: 3,
             lines: 8,
             sampling: CellSampling::Jittered,
-            storage: Storage::CubeU8,
+            storage: Storage::CubeU4,
             quality: BuildQuality::High,
         }
     }
@@ -168,8 +178,8 @@ pub enum SegmentEnds {
 /// How opacities of neighbouring levels and directions are blended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Blend {
-    /// At random: each ray has a threshold up to twice larger or smaller, and a direction moved within a cell. The mean over
-    /// rays is that of interpolation, at no cost.
+    /// At random: each ray has a threshold up to twice larger or smaller, and a direction moved by up to an eighth of a cell.
+    /// The mean over rays is that of interpolation (between directions only near the borders of cells), at no cost.
     #[default]
     Random,
     /// Not at all: the nearest direction, and one threshold.

@@ -3,21 +3,13 @@
 use super::{
     Correlation, Directions, PrefilterError, PrefilterOptions, Query, Storage,
     correlation::may_stop,
-    fan::{self, FAN, Fans, SMALLEST},
-    kernel::{self, Job, Kernel, Prepared},
-    opacity::{averages, measure, sphere_areas},
-    packet::{PACKET, Packet},
-    query::Cones,
-    storage::{Harmonics, Stored, Table, with_table},
-    walk::{Depths, Scene, StopStatistics},
-    wide::Wide,
+    depths::Depths,
+    fan::Answer,
+    opacity::{levels, measure, sphere_areas},
+    storage::{Cube, Harmonics, Stored, averages, with_table},
 };
-use std::ops::Range;
-use umbrage_accel::{BinaryTree, BuildError};
-use umbrage_geom::{
-    Aabb, Progress, Ray,
-    mesh::{validate_positions, validate_slices},
-};
+use umbrage_accel::{BuildError, BuildOptions, Bvh, Note, Statistics};
+use umbrage_geom::{Aabb, Progress, Ray, mesh::validate_slices};
 
 /// A ray that stands for a bundle of directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,24 +31,21 @@ pub struct Bytes {
     pub triangle_opacities: usize,
 }
 
-/// An 8-wide hierarchy over triangles with a directional opacity in every node that may end rays.
+/// A [`Bvh`] with a directional opacity in every node that may end rays.
 ///
 /// Approximate unless asked with [`Query::EXACT`], or for rays of solid angle 0: those answers are the bits of
-/// [`umbrage_accel::Bvh::transmittance`]. Results don't depend on the number of threads.
+/// [`Bvh::transmittance`]. Results don't depend on the number of threads.
 ///
 /// # Source
 /// `[Lacewell08]`; `docs/prefilter.md` lists the departures and what each one is worth.
 #[derive(Clone, Debug)]
 pub struct Prefiltered {
-    pub(crate) wide: Wide,
-    pub(crate) depths: Depths,
-    pub(crate) stored: Stored,
-    /// A bit for each child that may end rays.
-    masks: Vec<u8>,
+    /// Notes have where a node's row of opacities starts, and the share of its size that each child counts with.
+    bvh: Bvh,
+    depths: Depths,
+    stored: Stored,
     directions: Directions,
     options: PrefilterOptions,
-    triangles: usize,
-    vertices: usize,
 }
 
 fn check_opacity(opacity: &[f32], triangles: usize) -> Result<(), PrefilterError> {
@@ -88,21 +77,14 @@ impl Prefiltered {
         let directions = options.validate()?;
         validate_slices(positions, triangles)?;
         check_opacity(opacity, triangles.len())?;
-        let corners = |prim: u32| triangles[prim as usize].map(|v| positions[v as usize]);
-        let boxes: Vec<Aabb> =
-            (0..triangles.len() as u32).map(|prim| Aabb::from_points(&corners(prim))).collect();
-        let tree = BinaryTree::build(&boxes, options.quality)?;
-        drop(boxes);
-        let (mut wide, sources) = Wide::collapse(&tree, triangles);
-        wide.fill(positions);
-        let depths = Depths::new(opacity, &wide);
-        let masks = may_stop(options.correlation, &wide, &tree, &sources, positions, triangles);
-        drop((tree, sources));
-        let progress = Progress::new(wide.nodes.len() as u64, progress);
-        let stored = stored(&mut wide, &depths, directions, &masks, options, &progress)?;
+        let mut bvh =
+            Bvh::build(positions, triangles, &BuildOptions::default().with_quality(options.quality))?;
+        let depths = Depths::new(opacity, &bvh);
+        let masks = may_stop(options.correlation, &bvh, positions, triangles);
+        let progress = Progress::new(masks.len() as u64, progress);
+        let stored = stored(&mut bvh, &depths, directions, &masks, options, &progress)?;
         progress.finish()?;
-        let (triangles, vertices) = (triangles.len(), positions.len());
-        Ok(Self { wide, depths, stored, masks, directions, options: *options, triangles, vertices })
+        Ok(Self { bvh, depths, stored, directions, options: *options })
     }
 
     /// Moves the vertices, keeps the tree and measures opacities again; takes linear time. Which nodes may end rays stays as
@@ -117,15 +99,18 @@ impl Prefiltered {
         positions: &[[f32; 3]],
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<(), PrefilterError> {
-        let (count, expected) = (positions.len(), self.vertices);
-        if count != expected {
-            return Err(BuildError::Count { what: "vertices", count, expected }.into());
-        }
-        validate_positions(positions)?;
-        let wide = &mut self.wide;
-        wide.fill(positions);
-        let progress = Progress::new(wide.nodes.len() as u64, progress);
-        self.stored = stored(wide, &self.depths, self.directions, &self.masks, &self.options, &progress)?;
+        self.bvh.refit(positions).map_err(|error| match error {
+            BuildError::Mesh(error) => PrefilterError::Mesh(error),
+            error => PrefilterError::Build(error),
+        })?;
+        let view = self.bvh.view();
+        let mask = |node: u32| {
+            let marks = view.node(node).note().marks;
+            (0..8).fold(0, |mask, slot| mask | u8::from(marks[slot] != 0) << slot)
+        };
+        let masks: Vec<u8> = (0..view.node_count() as u32).map(mask).collect();
+        let progress = Progress::new(masks.len() as u64, progress);
+        self.stored = stored(&mut self.bvh, &self.depths, self.directions, &masks, &self.options, &progress)?;
         progress.finish()?;
         Ok(())
     }
@@ -136,7 +121,7 @@ impl Prefiltered {
     }
 
     /// [`Self::transmittance`], counted.
-    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl StopStatistics) -> f32 {
+    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl Statistics) -> f32 {
         let mut passed = [1.0];
         self.answer(std::slice::from_ref(ray), query, &mut passed, stats);
         passed[0]
@@ -167,32 +152,36 @@ impl Prefiltered {
         rays: &[ConeRay],
         query: &Query,
         passed: &mut [f32],
-        stats: &mut impl StopStatistics,
+        stats: &mut impl Statistics,
     ) {
         assert_eq!(rays.len(), passed.len(), "as many answers as rays");
         self.answer(rays, query, passed, stats);
     }
 
-    fn answer<S: StopStatistics>(&self, rays: &[ConeRay], query: &Query, passed: &mut [f32], stats: &mut S) {
+    fn answer(&self, rays: &[ConeRay], query: &Query, passed: &mut [f32], stats: &mut impl Statistics) {
         with_table!(&self.stored, table => {
-            let scene = Scene { wide: &self.wide, depths: &self.depths, table };
-            kernel::run(Answer { scene, directions: self.directions, rays, query, passed, stats });
+            Answer::new((&self.bvh, &self.depths, table), self.directions, query, rays, passed).run(stats);
         });
+    }
+
+    /// The hierarchy, for exact queries of other kinds.
+    pub fn bvh(&self) -> &Bvh {
+        &self.bvh
     }
 
     /// Smallest box around all triangles.
     pub fn bounds(&self) -> Aabb {
-        self.wide.nodes[0].bounds()
+        self.bvh.bounds()
     }
 
     /// Number of triangles.
     pub fn prim_count(&self) -> usize {
-        self.triangles
+        self.bvh.prim_count()
     }
 
-    /// Number of levels of nodes.
-    pub fn levels(&self) -> usize {
-        self.wide.levels.len()
+    /// Nodes by level, the root's first: what [`Statistics::ends`] names.
+    pub fn levels(&self) -> Vec<Vec<u32>> {
+        levels(&self.bvh)
     }
 
     /// How it was built.
@@ -203,101 +192,58 @@ impl Prefiltered {
     /// Memory it holds.
     pub fn bytes(&self) -> Bytes {
         Bytes {
-            hierarchy: self.wide.bytes(),
-            opacities: self.stored.bytes() + size_of_val(&self.masks[..]),
+            hierarchy: self.bvh.bytes(),
+            opacities: self.stored.bytes(),
             triangle_opacities: self.depths.bytes(),
         }
     }
 
     /// Part of the nodes' children, leaves included, that may end rays.
     pub fn stop_share(&self) -> f64 {
-        let stops: u32 = self.masks.iter().map(|m| m.count_ones()).sum();
-        let all: usize = self.wide.nodes.iter().map(|node| node.len()).sum();
-        f64::from(stops) / all as f64
+        let view = self.bvh.view();
+        let (mut stops, mut all) = (0, 0);
+        for node in (0..view.node_count() as u32).map(|index| view.node(index)) {
+            stops += node.note().marks.iter().filter(|&&mark| mark != 0).count();
+            all += node.len();
+        }
+        stops as f64 / all as f64
     }
+}
+
+/// Gives each node that may end rays its row; returns the slots of all rows. Rows have even lengths.
+fn place_rows(bvh: &mut Bvh, masks: &[u8]) -> usize {
+    let mut slots = 0u32;
+    for (node, mask) in masks.iter().enumerate() {
+        bvh.set_note(node as u32, Note { index: slots, marks: [0; 8] });
+        slots += (u8::BITS - mask.leading_zeros()).next_multiple_of(2);
+    }
+    slots as usize
 }
 
 /// Opacities in the form that `options` name.
 fn stored(
-    wide: &mut Wide,
+    bvh: &mut Bvh,
     depths: &Depths,
     directions: Directions,
     masks: &[u8],
     options: &PrefilterOptions,
     progress: &Progress,
 ) -> Result<Stored, PrefilterError> {
-    let nodes = wide.nodes.len();
+    let rows = (masks, place_rows(bvh, masks));
     Ok(match options.storage {
-        Storage::CubeU8 => Stored::U8(measure(wide, depths, directions, masks, options, progress)?),
-        Storage::SphereArea => Stored::U8(sphere_areas(wide, depths, masks)),
+        Storage::CubeU4 => Stored::U4(measure(bvh, depths, directions, rows, options, progress)?),
+        Storage::CubeU8 => Stored::U8(measure(bvh, depths, directions, rows, options, progress)?),
+        Storage::SphereArea => Stored::U8(sphere_areas(bvh, depths, rows)),
         form => {
-            let cube = measure::<f32>(wide, depths, directions, masks, options, progress)?;
+            let cube: Cube<f32> = measure(bvh, depths, directions, rows, options, progress)?;
             match form {
                 Storage::Harmonics2 => Stored::Harmonics2(Harmonics::project(&cube, directions)),
                 Storage::Harmonics4 => Stored::Harmonics4(Harmonics::project(&cube, directions)),
-                Storage::Average => Stored::U8(averages(&cube, directions, nodes)),
+                Storage::Average => Stored::U8(averages(&cube, directions)),
                 _ => Stored::F32(cube),
             }
         }
     })
-}
-
-/// Answers rays: in fans where they share an origin, else in packets.
-struct Answer<'a, T, S> {
-    scene: Scene<'a, T>,
-    directions: Directions,
-    rays: &'a [ConeRay],
-    query: &'a Query,
-    passed: &'a mut [f32],
-    stats: &'a mut S,
-}
-
-impl<T: Table, S: StopStatistics> Job for Answer<'_, T, S> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<K: Kernel>(self, kernel: K) {
-        let Self { scene, directions, rays, query, passed, stats } = self;
-        if let ([cone], [passed]) = (rays, &mut *passed) {
-            let Cones { kappa: [kappa], raise, cells: [cell], .. } = Cones::<1>::new(query, directions, rays);
-            *passed = Prepared::new(&cone.ray, kappa, raise).map_or(1.0, |prepared| {
-                let view = scene.table.view(cell, cone.ray.direction);
-                scene.walk(kernel, 0, &cone.ray, &prepared, view, stats)
-            });
-            return;
-        }
-        let mut packet = Packet::new();
-        let mut others = |range: Range<usize>, passed: &mut [f32], stats: &mut S| {
-            packet.answer(kernel, &scene, directions, &rays[range.clone()], query, &mut passed[range], stats);
-        };
-        let mut fans = Fans::new();
-        let mut ranges = Vec::new();
-        let mut at = 0;
-        while at < rays.len() {
-            let rest = &rays[at..];
-            let mut end = same_origin(rest);
-            if end >= SMALLEST && rest[0].ray.origin.is_finite() {
-                ranges.push(at..at + end);
-            } else {
-                while end < rest.len().min(PACKET) && same_origin(&rest[end..]) < SMALLEST {
-                    end += 1;
-                }
-                end = end.min(PACKET);
-                others(at..at + end, passed, stats);
-            }
-            at += end;
-        }
-        fan::answer(kernel, &scene, directions, rays, query, passed, &mut fans, ranges.into_iter(), stats);
-        fans.left.iter().for_each(|&i| others(i..i + 1, passed, stats));
-    }
-}
-
-/// Rays at the start of `rays` whose origins have the same bits, [`FAN`] at most.
-#[inline]
-fn same_origin(rays: &[ConeRay]) -> usize {
-    let bits = |cone: &ConeRay| cone.ray.origin.to_array().map(f32::to_bits);
-    let first = rays.first().map(bits);
-    rays.iter().take(FAN).take_while(|cone| Some(bits(cone)) == first).count()
 }
 
 /// The correlation height of [`PrefilterOptions`] that lets every node end rays.

@@ -1,17 +1,50 @@
 //! How opacities lie in memory (`[Lacewell08]`, section 4.4), and what a ray reads of them: optical depths of eight children.
+//!
+//! Here: forms of storage. Not here: where opacities come from (`opacity.rs`).
+//!
+//! A node that may end rays has a *row* of slots in every cell of directions, up to the last slot that may. Cells are
+//! outermost: the rays of a fan look at few of them, in which the rows of nodes that lie together share cache lines.
 
-use super::{Directions, kernel::Kernel, wide::WIDTH};
+use super::Directions;
 use umbrage_geom::glam::Vec3;
 
-/// Largest optical depth that bytes can say, in bits; a sum beyond 10 counts as opaque.
-const DEEPEST: f32 = 12.0;
+/// Children of a node.
+pub(crate) const WIDTH: usize = 8;
 
 /// Optical depth, `-log2(1 - opacity)`, of something that blocks everything; finite so that 0 times it is 0.
-const OPAQUE: f32 = 64.0;
+pub(crate) const OPAQUE: f32 = 64.0;
 
 /// Optical depth in bits of an opacity in `[0, 1]`.
 pub(crate) fn depth_of(opacity: f32) -> f32 {
     (-(1.0 - opacity).log2()).clamp(0.0, OPAQUE)
+}
+
+/// Optical depths of nodes' children by direction. `start` is where a node's row starts.
+pub(crate) trait Table: Sync {
+    /// What a ray looks at.
+    type View: Copy + Default + Send;
+
+    /// For a direction and the cell it is taken to be in.
+    fn view(&self, cell: u32, direction: Vec3) -> Self::View;
+
+    /// Bits; finite; of no meaning in slots that may not end rays.
+    fn depths(&self, view: Self::View, start: u32) -> [f32; WIDTH];
+}
+
+/// A table with a value for each cell, while it is made.
+pub(crate) trait Cells: Table + Sized {
+    /// With rows of `slots` in all.
+    fn new(cells: usize, slots: usize) -> Self;
+
+    fn cells(&self) -> usize;
+
+    /// Writes an opacity in `[0, 1]`; `random` in `[0, 1)` decides about rounding.
+    fn set(&mut self, cell: usize, start: u32, slot: usize, opacity: f32, random: f32);
+
+    /// Bits.
+    fn depth(&self, cell: usize, start: u32, slot: usize) -> f32;
+
+    fn bytes(&self) -> usize;
 }
 
 /// What a cube map holds for one child in one direction.
@@ -32,6 +65,9 @@ impl Element for f32 {
     }
 }
 
+/// Largest optical depth that bytes can say, in bits; a sum beyond 10 counts as opaque.
+const DEEPEST: f32 = 12.0;
+
 impl Element for u8 {
     fn encode(opacity: f32) -> Self {
         (255.0 * (depth_of(opacity) / DEEPEST).sqrt()).round() as Self
@@ -44,50 +80,15 @@ impl Element for u8 {
     }
 }
 
-/// Optical depths of nodes' children by direction.
-pub(crate) trait Table: Sync {
-    /// What a ray looks at.
-    type View: Copy + Send;
-
-    /// For a direction and the cell it is taken to be in.
-    fn view(&self, cell: u32, direction: Vec3) -> Self::View;
-
-    /// Bits; finite.
-    fn depths(&self, view: Self::View, node: usize) -> [f32; WIDTH];
-
-    /// Asks for what [`Self::depths`] reads.
-    fn prefetch<K: Kernel>(&self, kernel: K, view: Self::View, node: usize);
-}
-
-/// One row for each cell and node, cells outermost: a ray looks at one cell only.
+/// A cube map of elements.
 #[derive(Clone, Debug)]
 pub(crate) struct Cube<E> {
-    nodes: usize,
     /// 1 if nothing depends on direction.
     cells: usize,
-    rows: Vec<[E; WIDTH]>,
-}
-
-impl<E: Element> Cube<E> {
-    pub(crate) fn new(cells: usize, nodes: usize) -> Self {
-        Self { nodes, cells, rows: vec![[E::default(); WIDTH]; cells * nodes] }
-    }
-
-    pub(crate) fn set(&mut self, cell: usize, node: usize, row: [E; WIDTH]) {
-        self.rows[cell * self.nodes + node] = row;
-    }
-
-    pub(crate) fn get(&self, cell: usize, node: usize) -> [E; WIDTH] {
-        self.rows[cell * self.nodes + node]
-    }
-
-    pub(crate) fn cells(&self) -> usize {
-        self.cells
-    }
-
-    pub(crate) fn bytes(&self) -> usize {
-        size_of_val(&self.rows[..])
-    }
+    /// Slots of a cell.
+    slots: usize,
+    /// Cell by cell, and room for a whole row at the end.
+    elements: Vec<E>,
 }
 
 impl<E: Element> Table for Cube<E> {
@@ -95,30 +96,128 @@ impl<E: Element> Table for Cube<E> {
 
     #[inline(always)]
     fn view(&self, cell: u32, _: Vec3) -> usize {
-        if self.cells == 1 { 0 } else { cell as usize * self.nodes }
+        if self.cells == 1 { 0 } else { cell as usize * self.slots }
     }
 
     #[inline(always)]
-    fn depths(&self, view: usize, node: usize) -> [f32; WIDTH] {
+    fn depths(&self, view: usize, start: u32) -> [f32; WIDTH] {
         // A loop: closures would not be compiled with the caller's instructions.
-        let row = &self.rows[view + node];
+        let row = &self.elements[view + start as usize..][..WIDTH];
         let mut depths = [0.0; WIDTH];
         for i in 0..WIDTH {
             depths[i] = row[i].depth();
         }
         depths
     }
+}
+
+impl<E: Element> Cells for Cube<E> {
+    fn new(cells: usize, slots: usize) -> Self {
+        Self { cells, slots, elements: vec![E::default(); cells * slots + WIDTH] }
+    }
+
+    fn cells(&self) -> usize {
+        self.cells
+    }
+
+    fn set(&mut self, cell: usize, start: u32, slot: usize, opacity: f32, _: f32) {
+        self.elements[cell * self.slots + start as usize + slot] = E::encode(opacity);
+    }
 
     #[inline(always)]
-    fn prefetch<K: Kernel>(&self, kernel: K, view: usize, node: usize) {
-        kernel.prefetch(&self.rows, view + node);
+    fn depth(&self, cell: usize, start: u32, slot: usize) -> f32 {
+        self.elements[cell * self.slots + start as usize + slot].depth()
+    }
+
+    fn bytes(&self) -> usize {
+        size_of_val(&self.elements[..])
+    }
+}
+
+/// A cube map of half bytes, rounded at random so that means stay: rounding is far below the noise of lines.
+#[derive(Clone, Debug)]
+pub(crate) struct Halves {
+    cells: usize,
+    /// Bytes of a cell; rows start at even slots.
+    bytes: usize,
+    halves: Vec<u8>,
+}
+
+/// Depth of half byte 1, bits; that of others grows by squares.
+const HALF: f32 = 8.0 / 196.0;
+
+/// Optical depth of a half byte, bits: squares up to 8, and then opaque.
+#[inline(always)]
+fn half_depth(x: f32) -> f32 {
+    // Without a selection, which would become a branch: 15 is 1 more than 14.
+    let last = if x > 14.0 { x - 14.0 } else { 0.0 };
+    x * x * HALF + last * OPAQUE
+}
+
+impl Halves {
+    /// The half byte of an opacity.
+    fn encode(opacity: f32, random: f32) -> u8 {
+        let passed = |code: u8| (-half_depth(code.into())).exp2();
+        let above = (1..15).find(|&code| 1.0 - passed(code) >= opacity).unwrap_or(15);
+        let (more, less) = (passed(above - 1), passed(above));
+        above - u8::from(random * (more - less) >= more - (1.0 - opacity))
+    }
+}
+
+impl Table for Halves {
+    type View = usize;
+
+    #[inline(always)]
+    fn view(&self, cell: u32, _: Vec3) -> usize {
+        cell as usize * self.bytes
+    }
+
+    #[inline(always)]
+    fn depths(&self, view: usize, start: u32) -> [f32; WIDTH] {
+        let row = &self.halves[view + (start / 2) as usize..][..WIDTH / 2];
+        let bits = u32::from_le_bytes([row[0], row[1], row[2], row[3]]);
+        let mut depths = [0.0; WIDTH];
+        for (i, depth) in depths.iter_mut().enumerate() {
+            *depth = half_depth((bits >> (4 * i) & 15) as i32 as f32);
+        }
+        depths
+    }
+}
+
+impl Cells for Halves {
+    fn new(cells: usize, slots: usize) -> Self {
+        let bytes = slots.div_ceil(2);
+        Self { cells, bytes, halves: vec![0; cells * bytes + WIDTH / 2] }
+    }
+
+    fn cells(&self) -> usize {
+        self.cells
+    }
+
+    fn set(&mut self, cell: usize, start: u32, slot: usize, opacity: f32, random: f32) {
+        let at = start as usize + slot;
+        let (half, shift) = (&mut self.halves[cell * self.bytes + at / 2], at % 2 * 4);
+        *half = *half & !(15 << shift) | Self::encode(opacity, random) << shift;
+    }
+
+    #[inline(always)]
+    fn depth(&self, cell: usize, start: u32, slot: usize) -> f32 {
+        let at = start as usize + slot;
+        half_depth((self.halves[cell * self.bytes + at / 2] >> (at % 2 * 4) & 15).into())
+    }
+
+    fn bytes(&self) -> usize {
+        self.halves.len()
     }
 }
 
 /// Coefficients of even real spherical harmonics of the opacity, `N` of them: 6 or 15.
 #[derive(Clone, Debug)]
 pub(crate) struct Harmonics<const N: usize> {
-    rows: Vec<[[i8; WIDTH]; N]>,
+    /// Slots of a coefficient.
+    slots: usize,
+    /// Coefficient by coefficient, and room for a whole row at the end.
+    coefficients: Vec<i8>,
 }
 
 /// Largest coefficient that a byte can say: that of opacity 1 everywhere is `2 sqrt(pi)`.
@@ -147,6 +246,16 @@ pub(crate) fn basis(d: Vec3) -> [f32; 15] {
     ]
 }
 
+/// `N` coefficients, made by default.
+#[derive(Clone, Copy)]
+pub(crate) struct Weights<const N: usize>([f32; N]);
+
+impl<const N: usize> Default for Weights<N> {
+    fn default() -> Self {
+        Self([0.0; N])
+    }
+}
+
 impl<const N: usize> Harmonics<N> {
     /// Projects the opacities of a cube map.
     pub(crate) fn project(cube: &Cube<f32>, directions: Directions) -> Self {
@@ -155,52 +264,59 @@ impl<const N: usize> Harmonics<N> {
             (0..cube.cells).map(|c| (directions.weight(c), basis(directions.center(c)))).collect();
         let total: f32 = weights.iter().map(|w| w.0).sum();
         let scale = 4.0 * std::f32::consts::PI / total;
-        let mut rows = vec![[[0i8; WIDTH]; N]; cube.nodes];
-        for (node, row) in rows.iter_mut().enumerate() {
-            let mut sums = [[0f32; WIDTH]; N];
+        let mut coefficients = vec![0i8; N * cube.slots + WIDTH];
+        for slot in 0..cube.slots {
+            let mut sums = [0f32; N];
             for (cell, (weight, basis)) in weights.iter().enumerate() {
-                let opacity = cube.get(cell, node).map(|depth| 1.0 - (-depth).exp2());
-                for (sum, value) in sums.iter_mut().zip(basis) {
-                    for (sum, alpha) in sum.iter_mut().zip(opacity) {
-                        *sum += weight * value * alpha * scale;
-                    }
-                }
+                let opacity = 1.0 - (-cube.depth(cell, 0, slot)).exp2();
+                sums.iter_mut().zip(basis).for_each(|(sum, y)| *sum += weight * y * opacity * scale);
             }
-            *row =
-                sums.map(|lanes| lanes.map(|c| (c * (127.0 / LARGEST)).round().clamp(-127.0, 127.0) as i8));
+            for (k, sum) in sums.into_iter().enumerate() {
+                let coded = (sum * (127.0 / LARGEST)).round().clamp(-127.0, 127.0);
+                coefficients[k * cube.slots + slot] = coded as i8;
+            }
         }
-        Self { rows }
+        Self { slots: cube.slots, coefficients }
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        size_of_val(&self.rows[..])
+        self.coefficients.len()
     }
 }
 
 impl<const N: usize> Table for Harmonics<N> {
-    type View = [f32; N];
+    type View = Weights<N>;
 
     #[inline(always)]
-    fn view(&self, _: u32, direction: Vec3) -> [f32; N] {
+    fn view(&self, _: u32, direction: Vec3) -> Weights<N> {
         let basis = basis(direction.normalize_or_zero());
-        std::array::from_fn(|i| basis[i] * (LARGEST / 127.0))
+        Weights(std::array::from_fn(|i| basis[i] * (LARGEST / 127.0)))
     }
 
     #[inline(always)]
-    fn depths(&self, view: [f32; N], node: usize) -> [f32; WIDTH] {
+    fn depths(&self, view: Weights<N>, start: u32) -> [f32; WIDTH] {
         let mut opacity = [0f32; WIDTH];
-        for (row, weight) in self.rows[node].iter().zip(view) {
-            for (sum, &c) in opacity.iter_mut().zip(row) {
-                *sum += weight * f32::from(c);
+        for (k, weight) in view.0.into_iter().enumerate() {
+            let row = &self.coefficients[k * self.slots + start as usize..][..WIDTH];
+            for i in 0..WIDTH {
+                opacity[i] += weight * f32::from(row[i]);
             }
         }
         opacity.map(|alpha| depth_of(alpha.clamp(0.0, 1.0 - 1.0 / 4096.0)))
     }
+}
 
-    #[inline(always)]
-    fn prefetch<K: Kernel>(&self, kernel: K, _: [f32; N], node: usize) {
-        kernel.prefetch(&self.rows, node);
+/// Means over directions, weighted by solid angle.
+pub(crate) fn averages(cube: &Cube<f32>, directions: Directions) -> Cube<u8> {
+    let weights: Vec<f32> = (0..directions.cells()).map(|c| directions.weight(c)).collect();
+    let total: f32 = weights.iter().sum();
+    let mut table = Cube::<u8>::new(1, cube.slots);
+    for slot in 0..cube.slots {
+        let blocked = |(cell, weight): (usize, &f32)| weight * (1.0 - (-cube.depth(cell, 0, slot)).exp2());
+        let sum: f32 = weights.iter().enumerate().map(blocked).sum();
+        table.set(0, 0, slot, (sum / total).min(1.0), 0.0);
     }
+    table
 }
 
 /// Any of the forms.
@@ -208,6 +324,7 @@ impl<const N: usize> Table for Harmonics<N> {
 pub(crate) enum Stored {
     F32(Cube<f32>),
     U8(Cube<u8>),
+    U4(Halves),
     Harmonics2(Harmonics<6>),
     Harmonics4(Harmonics<15>),
 }
@@ -217,6 +334,7 @@ impl Stored {
         match self {
             Self::F32(table) => table.bytes(),
             Self::U8(table) => table.bytes(),
+            Self::U4(table) => table.bytes(),
             Self::Harmonics2(table) => table.bytes(),
             Self::Harmonics4(table) => table.bytes(),
         }
@@ -229,6 +347,7 @@ macro_rules! with_table {
         match $stored {
             $crate::prefilter::storage::Stored::F32($table) => $body,
             $crate::prefilter::storage::Stored::U8($table) => $body,
+            $crate::prefilter::storage::Stored::U4($table) => $body,
             $crate::prefilter::storage::Stored::Harmonics2($table) => $body,
             $crate::prefilter::storage::Stored::Harmonics4($table) => $body,
         }
@@ -249,6 +368,27 @@ mod tests {
         }
         assert_eq!(u8::encode(0.0).depth(), 0.0);
         assert!(u8::encode(1.0).depth() > 10.0);
+    }
+
+    #[test]
+    fn half_bytes_keep_the_mean() {
+        let mut table = Halves::new(2, 3);
+        for i in 0..=200 {
+            let alpha = i as f32 / 200.0;
+            let mut sum = 0.0;
+            for k in 0..500 {
+                table.set(1, 0, 2, alpha, k as f32 / 500.0);
+                let depth = table.depth(1, 0, 2);
+                assert_eq!(table.depths(table.view(1, Vec3::X), 0)[2], depth);
+                let back = 1.0 - (-depth).exp2();
+                assert!((back - alpha).abs() < 0.16, "{alpha} {back}");
+                sum += back / 500.0;
+            }
+            assert!((sum - alpha).abs() < 0.002, "{alpha} {sum}");
+        }
+        assert_eq!(Halves::encode(0.0, 0.0), 0);
+        assert_eq!(Halves::encode(1.0, 0.999), 15);
+        assert_eq!(table.depths(table.view(1, Vec3::X), 0)[..2], [0.0; 2]);
     }
 
     #[test]
@@ -274,10 +414,10 @@ mod tests {
     #[test]
     fn harmonics_follow_a_cube() {
         let directions = Directions::new(6).unwrap();
-        let mut cube = Cube::<f32>::new(directions.cells(), 1);
+        let mut cube = Cube::<f32>::new(directions.cells(), 4);
         let truth = |d: Vec3| 0.2 + 0.6 * d.y * d.y;
         for cell in 0..directions.cells() {
-            cube.set(cell, 0, [depth_of(truth(directions.center(cell))); WIDTH]);
+            cube.set(cell, 0, 3, truth(directions.center(cell)), 0.0);
         }
         let (two, four) =
             (Harmonics::<6>::project(&cube, directions), Harmonics::<15>::project(&cube, directions));
