@@ -631,13 +631,14 @@ mod tests {
             (a, b) in (vector(), vector()),
             others in prop::collection::vec(vector(), 0..9),
             at in [0f32..=1.0, 0f32..=1.0, 0f32..=1.0],
-            (scale, extreme) in (prop::sample::select(vec![1f32, 1e-30, 1e30]), prop::sample::select(vec![f32::NAN, 1e38, 1e-45])),
+            (scale, extreme) in (prop::sample::select(vec![1f32, 2f32.powi(-60), 2f32.powi(60)]), prop::sample::select(vec![f32::NAN, 1e38, 1e-45])),
         ) {
             let bounds = Aabb { min: a.min(b), max: a.max(b) };
             // Exactly the point where the segment ends, which rounding may have moved out of the box.
             let direction = a.lerp(b, 0.5).with_x(a.x + (b.x - a.x) * at[0]) * (1.0 + at[1] + at[2]) - origin;
             let end = origin.as_dvec3() + direction.as_dvec3();
             let inside = end.cmpge(bounds.min.as_dvec3()).all() && end.cmple(bounds.max.as_dvec3()).all();
+            // By a power of two, so that it still ends there.
             let mut rays = vec![Ray { origin, direction: direction * scale, tnear: 0.0, tfar: 1.001 / scale }];
             rays.extend(others.iter().map(|&d| Ray::new(origin, d)));
             rays.push(Ray::new(origin, Vec3::splat(extreme)).with_tfar(extreme));
