@@ -2,6 +2,9 @@
 //!
 //! Rays to the points of an area light are one use. A fan has up to [`MAX_FAN`] rays; neighbours in a fan should be close in
 //! direction, eight and thirty-two of them best of all: the answers are the same in any order, but a good one is faster.
+//!
+//! Narrow fans, as those to most lights, gain nothing from groups: blocks of rays whose first fan is narrow are left to
+//! [`Bvh::any_hits`] and [`Bvh::transmittances`], which walk with 32 rays.
 
 use super::{
     Source, TURNS,
@@ -17,6 +20,9 @@ use umbrage_geom::{OpticalDepth, Ray, glam::Vec3};
 
 /// Most rays of a fan.
 pub const MAX_FAN: usize = 1024;
+
+/// Cosine of the half-angle below which a fan is narrow: 45 degrees.
+const NARROW: f32 = 0.7;
 
 /// Rays that a thread takes at a time, at least.
 const BLOCK: usize = 1 << 12;
@@ -36,6 +42,9 @@ pub fn any_hits(
 ) -> Result<(), MaskError> {
     check(rays, per_fan, back_end, hits.len())?;
     let job = |walks: &mut Box<[Walk]>, (rays, hits): (&[Ray], &mut [bool])| {
+        if sides == Sides::Both && is_narrow(&rays[..per_fan]) {
+            return bvh.any_hits_with(rays, hits, &mut ());
+        }
         kernel::run(back_end, AnyHits { bvh, rays, per_fan, sides, hits, walks });
     };
     in_blocks(rays, per_fan, hits, job);
@@ -62,6 +71,9 @@ pub fn transmittances(
     }
     let depth_of = &depth_of;
     let job = |walks: &mut Box<[Walk]>, (rays, sums): (&[Ray], &mut [OpticalDepth])| {
+        if sides == Sides::Both && is_narrow(&rays[..per_fan]) {
+            return bvh.transmittances_with(rays, depth_of, sums, &mut ());
+        }
         kernel::run(back_end, Transmittances { bvh, rays, per_fan, sides, depth_of, sums, walks });
     };
     in_blocks(rays, per_fan, sums, job);
@@ -84,6 +96,11 @@ fn check(rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: usize) -> Res
         Some(fan) => Err(MaskError::FanOrigin { fan }),
         None => Ok(()),
     }
+}
+
+/// Whether a fan is so narrow that the hierarchy's own batches answer it, and those after it, sooner (`docs/aomask-exact.md`).
+fn is_narrow(fan: &[Ray]) -> bool {
+    hull(fan).angle[0] > NARROW
 }
 
 /// Calls `job` with blocks of whole fans, on all threads of the caller's pool.
