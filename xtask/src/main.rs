@@ -58,6 +58,9 @@ enum Task {
         /// Pixels along a side of the images of suite reyes.
         #[arg(long, value_name = "N")]
         size: Option<u32>,
+        /// Folder for plots of suite reyes, beside rows.
+        #[arg(long, value_name = "FOLDER")]
+        plots: Option<PathBuf>,
         /// Folder for pictures; suites aomask, reyes and volumetric.
         #[arg(long, value_name = "FOLDER")]
         pictures: Option<PathBuf>,
@@ -76,7 +79,7 @@ fn main() -> Result<()> {
     match arguments.task {
         Task::Ci => ci(),
         Task::Golden { bless } => golden(bless),
-        Task::Bench { suite, quick, json, peers, threads, only, part, figure, size, pictures } => {
+        Task::Bench { suite, quick, json, peers, threads, only, part, figure, size, plots, pictures } => {
             let pictures = pictures.map(|folder| folder.display().to_string());
             let options = [
                 ("--threads", threads.map(|n| n.to_string())),
@@ -84,6 +87,7 @@ fn main() -> Result<()> {
                 ("--part", part),
                 ("--figure", figure),
                 ("--size", size.map(|n| n.to_string())),
+                ("--plots", plots.map(|folder| folder.display().to_string())),
                 ("--pictures", pictures),
             ];
             let given = options.into_iter().filter_map(|(name, value)| Some([name.to_owned(), value?]));

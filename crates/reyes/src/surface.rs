@@ -48,7 +48,8 @@ impl Default for SurfaceOptions {
             bounds: Bounds::default(),
             tight_levels: 1,
             tree_bytes: 256 << 20,
-            back_end: BackEnd::best(),
+            // AVX-512 code is slower here: see `docs/reyes.md`, Evaluation.
+            back_end: if BackEnd::Avx2.is_supported() { BackEnd::Avx2 } else { BackEnd::Scalar },
         }
     }
 }
