@@ -17,7 +17,7 @@ use super::{
 use umbrage_accel::{Bvh, Child, View};
 use umbrage_geom::{
     Aabb, Cancelled, Progress,
-    kernel::{self, TriangleBlock, Work},
+    kernel::{self, TriangleBlock, Work, larger, smaller},
     sampling::{combine, sobol_4d, unit},
 };
 
@@ -72,16 +72,6 @@ impl Lines {
         }
         Self { batches, per_cell }
     }
-}
-
-#[inline(always)]
-fn smaller(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 /// All bits, if `x`: masks and separate loops, since selections between values become branches, one a lane.
