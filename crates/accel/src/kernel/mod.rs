@@ -186,6 +186,7 @@ pub(crate) trait Kernel: Copy {
     ) -> u32;
 
     /// The same as [`Self::fan_push`] where `columns` has the rays that enter each child.
+    #[allow(clippy::too_many_arguments)] // the state of one loop
     fn push(
         self,
         children: &[u32; WIDTH],
