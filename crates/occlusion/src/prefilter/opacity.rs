@@ -229,7 +229,7 @@ impl<T: Cells> Measure<'_, T> {
             }
             let (node, mask) = (self.view.node(child), self.masks[child as usize]);
             let (rows, start) = (node.bounds(), node.note().index);
-            for slot in 0..node.len() {
+            for (slot, &below) in node.children()[..node.len()].iter().enumerate() {
                 let (mut entry, mut exit) = ([f32::NEG_INFINITY; LINES], [f32::INFINITY; LINES]);
                 for axis in 0..3 {
                     let (low, high) = (rows[2 * axis][slot], rows[2 * axis + 1][slot]);
@@ -251,7 +251,7 @@ impl<T: Cells> Measure<'_, T> {
                         met[i] += f32::from_bits(depth.to_bits() & hit[i]);
                     }
                 } else if any != 0 {
-                    stack.push((node.children()[slot], hit));
+                    stack.push((below, hit));
                 }
             }
         }
