@@ -18,7 +18,7 @@ const TARGETS: [f64; 4] = [0.05, 0.04, 0.03, 0.02];
 const EXACT_RAYS: [u32; 7] = [1, 4, 9, 16, 32, 64, 128];
 
 /// Rays a receiver of prefiltered ones.
-const RAYS: [u32; 6] = [1, 2, 4, 8, 16, 32];
+const RAYS: [u32; 7] = [1, 2, 4, 8, 16, 32, 64];
 
 /// How a curve's points are computed.
 enum Way<'a> {

@@ -16,6 +16,7 @@ use umbrage_geom::{
     kernel::{
         BlockMask, LANES, TriangleBlock,
         fan::{CHUNK, FanRays, slab_inverse},
+        larger, smaller,
     },
     segment_hits_triangle,
 };
@@ -93,16 +94,6 @@ impl Iterator for Parts<'_> {
         self.at += fan;
         (fan > 0).then_some(Part::Fan(start..start + fan))
     }
-}
-
-#[inline(always)]
-fn smaller(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 /// Halves by halves, so that it is SIMD.

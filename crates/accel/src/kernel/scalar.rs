@@ -139,7 +139,7 @@ impl Kernel for Scalar {
         covered: &mut [f32; WIDTH],
     ) -> u32 {
         let mut ends = 0;
-        for i in 0..WIDTH {
+        for (i, covered) in covered.iter_mut().enumerate() {
             let (mut entry, mut exit) = (f32::NEG_INFINITY, f32::INFINITY);
             for axis in 0..3 {
                 let row = 2 * axis + (rays.negative[axis][r] as usize & 1);
@@ -151,10 +151,10 @@ impl Kernel for Scalar {
             }
             let t0 = if entry > rays.slab_near[r] { entry } else { rays.slab_near[r] };
             let t1 = if exit < rays.slab_far[r] { exit } else { rays.slab_far[r] };
-            covered[i] = 0.0;
+            *covered = 0.0;
             if t0 <= t1 && sizes.0[i] < limit {
                 ends |= 1 << i;
-                covered[i] = ((t1 - t0) + RAISE) / ((exit - entry) + RAISE);
+                *covered = ((t1 - t0) + RAISE) / ((exit - entry) + RAISE);
             } else if t0 <= t1 {
                 columns.0[i] |= 1 << r;
             }

@@ -57,6 +57,18 @@ pub fn run<W: Work>(work: W) -> W::Output {
     work.run()
 }
 
+/// `a` if it is smaller, else `b`; so `b` if either is NaN. One instruction.
+#[inline(always)]
+pub fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// `a` if it is larger, else `b`; so `b` if either is NaN.
+#[inline(always)]
+pub fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
 /// Triangles in a block.
 pub const LANES: usize = 8;
 

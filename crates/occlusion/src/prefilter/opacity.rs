@@ -17,7 +17,7 @@ use super::{
 use umbrage_accel::{Bvh, Child, View};
 use umbrage_geom::{
     Aabb, Cancelled, Progress,
-    kernel::{self, TriangleBlock, Work},
+    kernel::{self, TriangleBlock, Work, larger, smaller},
     sampling::{combine, sobol_4d, unit},
 };
 
@@ -72,16 +72,6 @@ impl Lines {
         }
         Self { batches, per_cell }
     }
-}
-
-#[inline(always)]
-fn smaller(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
 }
 
 /// All bits, if `x`: masks and separate loops, since selections between values become branches, one a lane.
@@ -239,7 +229,7 @@ impl<T: Cells> Measure<'_, T> {
             }
             let (node, mask) = (self.view.node(child), self.masks[child as usize]);
             let (rows, start) = (node.bounds(), node.note().index);
-            for slot in 0..node.len() {
+            for (slot, &below) in node.children()[..node.len()].iter().enumerate() {
                 let (mut entry, mut exit) = ([f32::NEG_INFINITY; LINES], [f32::INFINITY; LINES]);
                 for axis in 0..3 {
                     let (low, high) = (rows[2 * axis][slot], rows[2 * axis + 1][slot]);
@@ -261,7 +251,7 @@ impl<T: Cells> Measure<'_, T> {
                         met[i] += f32::from_bits(depth.to_bits() & hit[i]);
                     }
                 } else if any != 0 {
-                    stack.push((node.children()[slot], hit));
+                    stack.push((below, hit));
                 }
             }
         }

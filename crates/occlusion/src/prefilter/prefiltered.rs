@@ -92,7 +92,7 @@ impl Prefiltered {
     ///
     /// # Errors
     /// [`PrefilterError::Build`] unless there are as many `positions` as at the build; [`PrefilterError::Mesh`] for
-    /// coordinates as from [`validate_positions`]. Nothing has moved then. [`PrefilterError::Cancelled`]: vertices have
+    /// coordinates as from [`umbrage_geom::mesh::validate_positions`]. Nothing has moved then. [`PrefilterError::Cancelled`]: vertices have
     /// moved, opacities have not; answers other than exact ones mean nothing until another refit succeeds.
     pub fn refit(
         &mut self,
