@@ -110,7 +110,7 @@ impl Part<'_> {
         let exact = Exact(avx2);
         let variants = vec![
             variant(("exact", "exact"), &wide, any, false, rays, exact),
-            variant(("woop", "exact"), &wide, any, false, rays, Woop(avx2)),
+            variant(("woop", "exact"), &wide, any, false, rays, Woop),
             variant(("4-wide", "exact"), &narrow, any, false, rays, exact),
             variant(("splits", "exact"), &split, any, false, rays, exact),
             variant(("order-near", "exact"), &wide, any, true, rays, exact),

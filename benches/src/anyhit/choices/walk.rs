@@ -3,7 +3,7 @@
 use super::tree::{LEAF, Leaf, Tree};
 use umbrage_geom::{
     OpticalDepth, Ray, SlabRay,
-    kernel::{BlockRay, LANES, x86::Avx2},
+    kernel::{BlockRay, LANES, Work, run, x86::Avx2},
     segment_hits_triangle,
 };
 
@@ -37,9 +37,6 @@ pub trait Leaves: Copy + 'static {
 
     /// Lanes that are hit; with `any` perhaps only some of them.
     fn test(self, leaf: &Leaf, prepared: &Self::Ray, ray: &Ray, any: bool) -> u8;
-
-    /// Proof of the instructions that the walk is compiled for.
-    fn avx2(self) -> Avx2;
 }
 
 /// The workspace's predicate with its filter.
@@ -66,16 +63,11 @@ impl Leaves for Exact {
         }
         hits
     }
-
-    #[inline(always)]
-    fn avx2(self) -> Avx2 {
-        self.0
-    }
 }
 
 /// Woop, Benthin and Wald 2013 in `f32` and nothing else: no bound, no second precision.
 #[derive(Clone, Copy)]
-pub struct Woop(pub Avx2);
+pub struct Woop;
 
 /// A ray for [`Woop`].
 pub struct Sheared {
@@ -132,11 +124,6 @@ impl Leaves for Woop {
             bits[i] = u32::from(hit) << i;
         }
         bits.iter().fold(0, |mask, bit| mask | bit) as u8
-    }
-
-    #[inline(always)]
-    fn avx2(self) -> Avx2 {
-        self.0
     }
 }
 
@@ -209,20 +196,20 @@ fn walk<const W: usize, L: Leaves, const NEAR_FIRST: bool>(
     false
 }
 
-fn pass<const W: usize, L: Leaves, const NEAR_FIRST: bool>(
-    tree: &Tree<W>,
-    rays: &[Ray],
+/// A pass over all rays.
+struct Pass<'a, const W: usize, L, const NEAR_FIRST: bool> {
+    tree: &'a Tree<W>,
+    rays: &'a [Ray],
     leaves: L,
     question: Question,
-) -> Answers {
-    /// [`walk`] of every ray, compiled for what `leaves` proves.
-    #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
-    fn shell<const W: usize, L: Leaves, const NEAR_FIRST: bool>(
-        tree: &Tree<W>,
-        rays: &[Ray],
-        leaves: L,
-        question: Question,
-    ) -> Answers {
+}
+
+impl<const W: usize, L: Leaves, const NEAR_FIRST: bool> Work for Pass<'_, W, L, NEAR_FIRST> {
+    type Output = Answers;
+
+    #[inline(always)]
+    fn run(self) -> Answers {
+        let Self { tree, rays, leaves, question } = self;
         let mut answers = Answers { hits: Vec::with_capacity(rays.len()), ..Answers::default() };
         for ray in rays {
             let hit = walk::<W, L, NEAR_FIRST>(tree, ray, leaves, question, &mut answers);
@@ -230,9 +217,6 @@ fn pass<const W: usize, L: Leaves, const NEAR_FIRST: bool>(
         }
         answers
     }
-    let Avx2 { .. } = leaves.avx2();
-    // SAFETY: an `Avx2` exists, so the processor has these instructions.
-    unsafe { shell::<W, L, NEAR_FIRST>(tree, rays, leaves, question) }
 }
 
 /// Answers all rays.
@@ -244,8 +228,8 @@ pub fn answer<const W: usize, L: Leaves>(
     near_first: bool,
 ) -> Answers {
     if near_first {
-        pass::<W, L, true>(tree, rays, leaves, question)
+        run(Pass::<W, L, true> { tree, rays, leaves, question })
     } else {
-        pass::<W, L, false>(tree, rays, leaves, question)
+        run(Pass::<W, L, false> { tree, rays, leaves, question })
     }
 }
