@@ -275,7 +275,7 @@ impl<L> Topology<L> {
 
     /// Orders the children of each node: first what stops a ray with the greatest probability for its cost.
     ///
-    /// Ize and Hansen 2011 (RTSAH), for eight children and taken from the surface: a triangle stops a ray that enters its
+    /// `[Ize11]`, RTSAH, for eight children and taken from the surface: a triangle stops a ray that enters its
     /// leaf with the probability of their mean shadows' ratio. Optical depths add up to opaque after so many triangles that
     /// their form for attenuating ones makes no difference to sums.
     fn arrange(&mut self, leaves: &[Subtree]) {

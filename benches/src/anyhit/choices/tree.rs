@@ -16,9 +16,9 @@ pub const LEAF: u32 = 1 << 31;
 pub enum Order {
     /// The largest box.
     BoxArea,
-    /// Most area of triangles (Nah and Manocha 2014, SATO).
+    /// Most area of triangles (`[Nah14]`, SATO).
     TriangleArea,
-    /// Least cost for the probability to end there (Ize and Hansen 2011, RTSAH; opacities make it the form for attenuating
+    /// Least cost for the probability to end there (`[Ize11]`, RTSAH; opacities make it the form for attenuating
     /// triangles).
     Termination,
 }
