@@ -82,7 +82,7 @@ fn run_case(
             workload: &workload,
             peers: &peers,
             fast_build_s: ours[2].build_s,
-            passes: if options.quick { 5 } else { 11 },
+            passes: if options.quick { 5 } else { 7 },
             pool: many.filter(|_| workload.on_threads),
         };
         if workload.transparent {

@@ -97,7 +97,7 @@ impl Source {
 /// All workloads over a mesh: opaque ones first, then the same with semi-transparent triangles (in the quick form two of them).
 pub fn workloads(case: &Case, quick: bool) -> Vec<Workload> {
     let bounds = case.mesh.bounds();
-    let receivers = scenes::receivers(&case.mesh, if quick { 3_000 } else { 40_000 }, 1);
+    let receivers = scenes::receivers(&case.mesh, if quick { 3_000 } else { 12_000 }, 1);
     // In the quick form two scenes stand for all on several threads.
     let threaded = !quick || ["bunny_60k", "hairball"].contains(&case.name.as_str());
     let opaque = |params: Value, rays, on_threads| Workload { params, rays, transparent: false, on_threads };
@@ -111,7 +111,7 @@ pub fn workloads(case: &Case, quick: bool) -> Vec<Workload> {
     }
     let rays = scenes::shadow_rays(&receivers, &bounds, 16);
     workloads.push(opaque(json!({ "workload": "shadow" }), rays, threaded && !quick));
-    let rays = scenes::camera_rays(&bounds, if quick { 256 } else { 1024 });
+    let rays = scenes::camera_rays(&bounds, if quick { 256 } else { 512 });
     workloads.push(opaque(json!({ "workload": "camera" }), rays, threaded && !quick));
     let dimming: Vec<Workload> = workloads
         .iter()

@@ -377,6 +377,10 @@ fn alone<K: Kernel, S: Statistics>(
 /// Fans that take turns, so that one works while others wait for memory.
 pub const WALKS: usize = 8;
 
+/// Bytes of nodes and leaves up to which fans walk one after the other: they fit into the second-level cache, and what
+/// other fans keep would only push things out of the first.
+const NEAR: usize = 1 << 19;
+
 /// Answers rays by fans where at least `smallest` share an origin; the others are left to `packet`, [`PACKET`] at most at a
 /// time.
 #[inline(always)]
@@ -393,10 +397,13 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: FanGoal>(
     let mut walks: Vec<Walk> = Vec::with_capacity(WALKS);
     let mut turns: [usize; WALKS] = std::array::from_fn(|i| i);
 
+    let near = size_of_val(&*bvh.tree.nodes) + size_of_val(&*bvh.blocks) <= NEAR;
+    let (most, turn_over) = if near { (1, 0) } else { (WALKS, 1) };
+
     let mut busy = 0;
     let mut parts = Parts::new(rays, smallest);
     loop {
-        while busy < WALKS {
+        while busy < most {
             match parts.next() {
                 Some(Part::Fan(range)) if !may_enter(&rays[range.clone()], &bvh.tree.bounds) => {
                     let all = u32::MAX >> (FAN - range.len());
@@ -431,7 +438,7 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: FanGoal>(
         while turn < busy {
             let walk = turns[turn];
             if walks[walk].step(kernel, bvh, walk, goal, stats) {
-                turn += 1;
+                turn += turn_over;
             } else {
                 goal.finish(walk);
                 busy -= 1;
