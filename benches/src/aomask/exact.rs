@@ -1,10 +1,10 @@
 //! Method `mask` as an entry, and the part of the suite that measures it against single rays.
 
 use super::{Case, measure, methods::bits, workload::Workload};
-use crate::{entry::Entry, rows::Output};
+use crate::{entry::Entry, memory, rows::Output};
 use anyhow::Result;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use serde_json::json;
+use serde_json::{Value, json};
 use umbrage_accel::Bvh;
 use umbrage_aomask::{BackEnd, Outputs, exact};
 
@@ -24,6 +24,7 @@ pub fn entries<'a>(case: &'a Case, workload: &'a Workload) -> Result<Vec<Box<dyn
                 masks,
                 ao,
                 one,
+                held: 0,
             }))
         })
         .collect()
@@ -46,6 +47,8 @@ struct MaskEntry<'a> {
     ao: Vec<f32>,
     /// For runs on one thread.
     one: ThreadPool,
+    /// Most bytes that the last run held beside hierarchy, receivers and outputs.
+    held: usize,
 }
 
 impl Entry<bool> for MaskEntry<'_> {
@@ -66,6 +69,7 @@ impl Entry<bool> for MaskEntry<'_> {
     }
 
     fn run(&mut self, pool: Option<&ThreadPool>) {
+        let before = memory::start();
         let Self { bvh, back_end, workload, masks, ao, one, .. } = self;
         pool.unwrap_or(one).install(|| {
             let outputs = Outputs::new(ao).with_masks(masks);
@@ -73,6 +77,11 @@ impl Entry<bool> for MaskEntry<'_> {
             exact::answer(bvh, pattern, points, normals, options, *back_end, outputs, &mut |_| true)
                 .expect("valid receivers");
         });
+        self.held = memory::peak_since(before);
+    }
+
+    fn counters(&self) -> Value {
+        json!({ "held_bytes": self.held })
     }
 
     fn answers(&self) -> Vec<bool> {

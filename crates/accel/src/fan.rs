@@ -178,6 +178,8 @@ struct Walk {
     envelope: Envelope,
     /// Whether the envelope may exclude anything.
     narrow: bool,
+    /// Whether all rays start at the origin.
+    starts: bool,
     /// Index of the first ray.
     first: usize,
     /// Where each ray ends, and the largest of these; for goals that end rays.
@@ -199,6 +201,7 @@ impl Walk {
             origin,
             envelope,
             narrow: false,
+            starts: false,
             first: 0,
             limits: [0.0; FAN],
             widest: 0.0,
@@ -220,6 +223,7 @@ impl Walk {
         let relative = [bounds.min - rays[0].origin, bounds.max - rays[0].origin].map(|v| v.to_array());
         self.fan.ahead = Ahead::new(self.envelope.sum, relative);
         self.narrow = self.envelope.extent.is_some() || self.envelope.axes > 1;
+        self.starts = rays.iter().fold(0, |any, ray| any | ray.tnear.to_bits()) == 0;
         self.fan.signs = self.envelope.signs();
         self.alive = fit;
         self.top = usize::from(fit != 0);
@@ -335,11 +339,20 @@ impl Walk {
         stats: &mut S,
     ) {
         let block = &bvh.blocks[leaf];
-        let planes = kernel.planes(block, self.origin);
+        let mut planes = kernel.planes(block, self.origin);
+        let mut asked = if self.starts { 0 } else { u8::MAX };
         while rest != 0 {
             let r = rest.trailing_zeros() as usize;
             rest &= rest - 1;
-            let mask = kernel.fan_filter(&planes, &self.fan.rays, r);
+            let mask = loop {
+                let mask = kernel.fan_filter(&planes, &self.fan.rays, r);
+                let ask = mask.uncertain & !asked;
+                if ask == 0 {
+                    break mask;
+                }
+                asked |= ask;
+                kernel.ask_sides(&mut planes, block, self.origin, ask);
+            };
             stats.triangles(block.len() as u32);
             stats.uncertain(mask.uncertain.count_ones());
             let ray = FanRay { index: self.first + r, walk, column: r };

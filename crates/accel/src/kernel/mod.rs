@@ -154,6 +154,9 @@ pub(crate) trait Kernel: Copy {
     /// See [`umbrage_geom::kernel::fan`].
     fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Self::Planes;
 
+    /// See [`umbrage_geom::kernel::fan::scalar::Planes::ask_sides`].
+    fn ask_sides(self, planes: &mut Self::Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8);
+
     /// See [`umbrage_geom::kernel::fan`].
     fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask;
 

@@ -80,6 +80,11 @@ impl Kernel for Scalar {
     }
 
     #[inline]
+    fn ask_sides(self, planes: &mut Self::Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+        planes.ask_sides(block, origin, lanes);
+    }
+
+    #[inline]
     fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask {
         planes.filter(rays.direction.map(|row| row[r]), rays.near[r], rays.far[r])
     }

@@ -397,6 +397,11 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
+    fn ask_sides(self, planes: &mut Self::Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+        Avx2::ask_sides(self, planes, block, origin, lanes);
+    }
+
+    #[inline(always)]
     fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask {
         let r = r % FAN;
         let [x, y, z] = &rays.direction;

@@ -285,7 +285,7 @@ impl Walk {
         if above == 0 {
             return;
         }
-        let planes = kernel.planes(block, self.origin);
+        let mut planes = kernel.planes(block, self.origin);
         let mut groups = 0;
         for i in 0..4 {
             groups |= u32::from(left >> (8 * i) & 0xff != 0) << (ids >> (8 * i) & 31);
@@ -295,10 +295,19 @@ impl Walk {
             return self.triangles(kernel, bvh, leaf, &planes, above, groups, goal);
         }
         let skipped = !above as u8 | goal.skipped(|| kernel.leaf_rows(&planes).planes.sides()) as u8;
+        let mut asked = skipped;
         while left != 0 {
             let ray = ray_of(ids, left.trailing_zeros());
             left &= left - 1;
-            let BlockMask { certain, uncertain } = kernel.ray_lanes(&planes, &self.rays, ray);
+            let BlockMask { certain, uncertain } = loop {
+                let mask = kernel.ray_lanes(&planes, &self.rays, ray);
+                let ask = mask.uncertain & !asked;
+                if ask == 0 {
+                    break mask;
+                }
+                asked |= ask;
+                kernel.ask_sides(&mut planes, block, self.origin, ask);
+            };
             let mask = BlockMask { certain: certain & !skipped, uncertain: uncertain & !skipped };
             if mask.certain | mask.uncertain != 0 {
                 let Self { rays, origin, item, .. } = self;
@@ -340,11 +349,12 @@ impl Walk {
         groups: u32,
         goal: &mut impl Goal,
     ) {
-        let rows: LeafRows = kernel.leaf_rows(planes);
+        let mut rows: LeafRows = kernel.leaf_rows(planes);
         let mut lanes = lanes & kernel.near(&rows, &self.hull) & !goal.skipped(|| rows.planes.sides());
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize % LANES;
             lanes &= lanes - 1;
+            let mut asked = false;
             let mut groups = groups & self.open;
             if groups.count_ones() > FEW {
                 groups &= kernel.lane_groups(&rows, lane, &self.rays);
@@ -353,7 +363,17 @@ impl Walk {
                 let group = groups.trailing_zeros() as usize % GROUPS;
                 groups &= groups - 1;
                 let open = !self.done[group];
-                let BlockMask { certain, uncertain } = kernel.lane_rays(&rows, lane, &self.rays, group);
+                let BlockMask { certain, uncertain } = loop {
+                    let mask = kernel.lane_rays(&rows, lane, &self.rays, group);
+                    if asked || mask.uncertain & open == 0 {
+                        break mask;
+                    }
+                    asked = true;
+                    rows.planes.ask_sides(bvh.view().leaf(leaf), self.origin, 1 << lane);
+                };
+                if rows.planes.used() >> lane & 1 == 0 {
+                    break;
+                }
                 let mask = BlockMask { certain: certain & open, uncertain: uncertain & open };
                 if mask.certain | mask.uncertain != 0 {
                     let Self { rays, origin, item, .. } = self;

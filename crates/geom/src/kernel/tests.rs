@@ -57,6 +57,12 @@ fn check(vertices: &[[f32; 3]], triangles: &[[u8; 3]], ray: &Ray) -> Result<(), 
             let mask = transposed(&|lane| planes.filter_rays(lane, rows, &far));
             check_mask(&block, ray, triangles.len(), mask, "rays scalar")?;
         }
+        let all = (1u32 << triangles.len()).wrapping_sub(1) as u8;
+        if ray.tnear == 0.0 {
+            let mut asked = planes;
+            asked.ask_sides(&block, origin, all);
+            check_mask(&block, ray, triangles.len(), asked.filter(d, 0.0, rays.far[0]), "sides scalar")?;
+        }
         let (front, back) = planes.sides();
         for lane in 0..triangles.len() {
             if let Some(hit) =
@@ -75,6 +81,10 @@ fn check(vertices: &[[f32; 3]], triangles: &[[u8; 3]], ray: &Ray) -> Result<(), 
             let mask = avx2.fan_filter(&avx2.planes(&block, origin), d, rays.near[0], rays.far[0]);
             check_mask(&block, ray, triangles.len(), mask, "fan avx2")?;
             if ray.tnear == 0.0 {
+                let mut asked = avx2.planes(&block, origin);
+                avx2.ask_sides(&mut asked, &block, origin, all);
+                let mask = avx2.fan_filter(&asked, d, 0.0, rays.far[0]);
+                check_mask(&block, ray, triangles.len(), mask, "sides avx2")?;
                 let planes = avx2.store_planes(&avx2.planes(&block, origin));
                 let mask = transposed(&|lane| avx2.fan_rays(&planes, lane, rows, &far));
                 check_mask(&block, ray, triangles.len(), mask, "rays avx2")?;

@@ -151,6 +151,10 @@ impl Kernel for Scalar {
         Planes::new(block, origin)
     }
 
+    fn ask_sides(self, planes: &mut Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+        planes.ask_sides(block, origin, lanes);
+    }
+
     fn leaf_rows(self, planes: &Planes) -> LeafRows {
         let mut lengths = [[0.0; LANES]; 3];
         for (row, normal) in lengths.iter_mut().zip(planes.normals()) {

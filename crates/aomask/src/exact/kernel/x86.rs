@@ -496,6 +496,11 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
+    fn ask_sides(self, planes: &mut Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+        Avx2::ask_sides(self, planes, block, origin, lanes);
+    }
+
+    #[inline(always)]
     fn leaf_rows(self, planes: &Planes) -> LeafRows {
         let planes = self.store_planes(planes);
         // SAFETY: `self` proves the target features.

@@ -4,6 +4,7 @@ use super::{
     super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, TriangleBlock},
     DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR,
 };
+use crate::triangle::plane_side;
 
 /// A block of triangles seen from one origin.
 #[derive(Clone, Copy, Debug)]
@@ -16,10 +17,12 @@ pub struct Planes {
     /// `T`.
     pub(super) volume: [f32; LANES],
     pub(super) volume_error: [f32; LANES],
+    /// `T`, or infinite with its sign where [`Self::ask_sides`] has found that.
+    pub(super) side: [f32; LANES],
     /// No hit is further.
     pub(super) reach: [f32; LANES],
-    /// Triangles.
-    pub(super) used: usize,
+    /// Triangles that may be hit.
+    pub(super) used: u8,
 }
 
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
@@ -34,16 +37,46 @@ fn largest(vectors: [[f32; 3]; 3]) -> f32 {
     vectors.as_flattened().iter().fold(0.0, |m, x| x.abs().max(m))
 }
 
+/// See [`Planes::ask_sides`]. By value, so that vectors can stay in registers where this isn't called. Also the lanes where `T`
+/// is 0.
+#[cold]
+pub(super) fn sides(
+    mut side: [f32; LANES],
+    block: &TriangleBlock,
+    origin: [f32; 3],
+    mut lanes: u8,
+) -> ([f32; LANES], u8) {
+    let mut on = 0;
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize % LANES;
+        lanes &= lanes - 1;
+        match plane_side(origin.into(), block.get(lane)) {
+            0 => on |= 1 << lane,
+            behind if behind > 0 => side[lane] = f32::NEG_INFINITY,
+            _ => side[lane] = f32::INFINITY,
+        }
+    }
+    (side, on)
+}
+
 impl Planes {
     pub(super) const EMPTY: Self = {
         let row = [0.0; LANES];
-        Self { normals: [[row; 3]; 3], error: row, volume: row, volume_error: row, reach: row, used: 0 }
+        Self {
+            normals: [[row; 3]; 3],
+            error: row,
+            volume: row,
+            volume_error: row,
+            side: row,
+            reach: row,
+            used: 0,
+        }
     };
 
     /// Looks at `block` from the finite point `origin`.
     #[inline]
     pub fn new(block: &TriangleBlock, origin: [f32; 3]) -> Self {
-        let mut this = Self { used: block.len(), ..Self::EMPTY };
+        let mut this = Self { used: block.used(), ..Self::EMPTY };
         for lane in 0..LANES {
             let corners = block.get(lane);
             let minus = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
@@ -63,14 +96,27 @@ impl Planes {
             this.volume_error[lane] = VOLUME_ERROR * (far * (long * long)) + DEPTH_UNDERFLOW;
             this.reach[lane] = REACH * far;
         }
+        this.side = this.volume;
         this
+    }
+
+    /// Finds out exactly on which side of the triangles `lanes`, a bit each, `origin` lies: that of the planes, as is `block`.
+    /// From then on the planes are for rays that start at their origin (`tnear` 0).
+    ///
+    /// The plane of a large triangle passes so close to a point on it that `T` is uncertain for all rays from there. Its sign
+    /// says whether they leave it behind. Where `T` is 0 none can hit.
+    #[inline(always)]
+    pub fn ask_sides(&mut self, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+        let on;
+        (self.side, on) = sides(self.side, block, origin, lanes);
+        self.used &= !on;
     }
 
     /// Filters the block for one prepared ray from the same origin; see the [module](super).
     #[inline]
     pub fn filter(&self, direction: [f32; 3], near: f32, far: f32) -> BlockMask {
         let mut mask = BlockMask::default();
-        for lane in 0..self.used {
+        for lane in (0..LANES).filter(|lane| self.used >> lane & 1 == 1) {
             match self.hit(lane, direction, near, far) {
                 Some(true) => mask.certain |= 1 << lane,
                 Some(false) => {}
@@ -121,10 +167,10 @@ impl Planes {
         &self.volume_error
     }
 
-    /// One bit for each triangle.
+    /// One bit for each triangle that may be hit.
     #[inline(always)]
     pub fn used(&self) -> u32 {
-        (1 << self.used) - 1
+        self.used.into()
     }
 
     /// Triangles of which the origin is for certain on the front side, and on the back side, one bit each.
@@ -153,13 +199,13 @@ impl Planes {
             (_, [true, true, true]) => -1.0,
             _ => return None,
         };
-        let volume = self.volume[lane] * side;
         let sum = (edges[0] + edges[1] + edges[2]) * side;
         let relative = 3.1 * error + DEPTH_ERROR * sum;
         // How far beyond `z` for certain, positive or negative; NaN is neither.
-        let beyond = |z: f32| (volume - z * sum, z * relative + self.volume_error[lane]);
-        let (after_near, near_error) = beyond(near);
-        let (after_far, far_error) = if self.reach[lane] < far { (-1.0, 0.0) } else { beyond(far) };
+        let beyond = |volume: f32, z: f32| (volume * side - z * sum, z * relative + self.volume_error[lane]);
+        let (after_near, near_error) = beyond(self.side[lane], near);
+        let (after_far, far_error) =
+            if self.reach[lane] < far { (-1.0, 0.0) } else { beyond(self.volume[lane], far) };
         if after_near < -near_error || after_far > far_error {
             Some(false)
         } else if after_near > near_error && after_far < -far_error {

@@ -16,6 +16,7 @@ pub struct Planes {
     error: __m256,
     volume: __m256,
     volume_error: __m256,
+    side: __m256,
     reach: __m256,
     used: u8,
 }
@@ -60,16 +61,17 @@ fn planes(block: &TriangleBlock, origin: [f32; 3]) -> Planes {
     let sane = _mm256_cmp_ps::<_CMP_LT_OQ>(far, _mm256_set1_ps(LARGEST));
     let spread = _mm256_mul_ps(far, long);
     let error = _mm256_fmadd_ps(_mm256_set1_ps(EDGE_ERROR), spread, _mm256_set1_ps(f32::MIN_POSITIVE));
-    let volume = dot(a, cross(eb, ec));
+    let volume = _mm256_xor_ps(dot(a, cross(eb, ec)), _mm256_set1_ps(-0.0));
     Planes {
         normals: [cross(c, ea), cross(a, eb), cross(b, ec)],
         error: _mm256_blendv_ps(_mm256_set1_ps(f32::INFINITY), error, sane),
-        volume: _mm256_xor_ps(volume, _mm256_set1_ps(-0.0)),
+        volume,
         volume_error: _mm256_fmadd_ps(
             _mm256_set1_ps(VOLUME_ERROR),
             _mm256_mul_ps(spread, long),
             _mm256_set1_ps(DEPTH_UNDERFLOW),
         ),
+        side: volume,
         reach: _mm256_mul_ps(_mm256_set1_ps(REACH), far),
         used: block.used(),
     }
@@ -81,6 +83,7 @@ struct Lanes {
     error: __m256,
     volume: __m256,
     volume_error: __m256,
+    side: __m256,
     reach: __m256,
     near: __m256,
     far: __m256,
@@ -108,21 +111,20 @@ fn decide(lanes: &Lanes, used: u8) -> BlockMask {
     }
     // Edges of one sign: make it positive.
     let flip = _mm256_and_ps(all_negative, _mm256_set1_ps(-0.0));
-    let volume = _mm256_xor_ps(lanes.volume, flip);
     let sum = _mm256_xor_ps(_mm256_add_ps(_mm256_add_ps(u, v), w), flip);
     let relative =
         _mm256_fmadd_ps(_mm256_set1_ps(3.1), lanes.error, _mm256_mul_ps(_mm256_set1_ps(DEPTH_ERROR), sum));
     // Masks of lanes surely beyond and surely before the depth `z`; NaN is neither.
-    let compare = |z: __m256| {
+    let compare = |volume: __m256, z: __m256| {
         let bound = _mm256_fmadd_ps(z, relative, lanes.volume_error);
-        let difference = _mm256_fnmadd_ps(z, sum, volume);
+        let difference = _mm256_fnmadd_ps(z, sum, _mm256_xor_ps(volume, flip));
         let beyond = _mm256_cmp_ps::<_CMP_GT_OQ>(difference, bound);
         let before = _mm256_cmp_ps::<_CMP_LT_OQ>(difference, _mm256_xor_ps(bound, _mm256_set1_ps(-0.0)));
         (_mm256_movemask_ps(beyond) as u8, _mm256_movemask_ps(before) as u8)
     };
-    let (after_near, before_near) = compare(lanes.near);
+    let (after_near, before_near) = compare(lanes.side, lanes.near);
     let clear = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(lanes.reach, lanes.far)) as u8;
-    let (after_far, before_far) = compare(lanes.far);
+    let (after_far, before_far) = compare(lanes.volume, lanes.far);
     let (after_far, before_far) = (after_far & !clear, before_far | clear);
     let missed = inside & (before_near | after_far);
     let certain = inside & after_near & before_far;
@@ -138,6 +140,7 @@ fn filter(planes: &Planes, direction: [f32; 3], near: f32, far: f32) -> BlockMas
         error: planes.error,
         volume: planes.volume,
         volume_error: planes.volume_error,
+        side: planes.side,
         reach: planes.reach,
         near: _mm256_set1_ps(near),
         far: _mm256_set1_ps(far),
@@ -166,6 +169,7 @@ fn filter_rays(
         error: _mm256_set1_ps(planes.error[lane]),
         volume: _mm256_set1_ps(planes.volume[lane]),
         volume_error: _mm256_set1_ps(planes.volume_error[lane]),
+        side: _mm256_set1_ps(planes.side[lane]),
         reach: _mm256_set1_ps(planes.reach[lane]),
         near: _mm256_setzero_ps(),
         far: load(far),
@@ -187,9 +191,22 @@ fn store(planes: &Planes) -> scalar::Planes {
     put(&mut rows.error, planes.error);
     put(&mut rows.volume, planes.volume);
     put(&mut rows.volume_error, planes.volume_error);
+    put(&mut rows.side, planes.side);
     put(&mut rows.reach, planes.reach);
-    rows.used = planes.used.count_ones() as usize;
+    rows.used = planes.used;
     rows
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn ask_sides(planes: &mut Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+    let mut row = [0.0; LANES];
+    // SAFETY: rows are eight floats.
+    unsafe { _mm256_storeu_ps(row.as_mut_ptr(), planes.side) };
+    let (row, on) = scalar::sides(row, block, origin, lanes);
+    // SAFETY: as above.
+    planes.side = unsafe { _mm256_loadu_ps(row.as_ptr()) };
+    planes.used &= !on;
 }
 
 impl Avx2 {
@@ -200,6 +217,13 @@ impl Avx2 {
     pub fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Planes {
         // SAFETY: `self` proves the target features.
         unsafe { planes(block, origin) }
+    }
+
+    /// See [`scalar::Planes::ask_sides`].
+    #[inline(always)]
+    pub fn ask_sides(self, planes: &mut Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+        // SAFETY: `self` proves the target features.
+        unsafe { ask_sides(planes, block, origin, lanes) }
     }
 
     /// Filters a block for one prepared ray from the same origin; see the [module](super).
