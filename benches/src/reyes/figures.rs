@@ -52,15 +52,23 @@ const fn figure(
 /// Finest rate: a shadow ray that starts without width would ask for any.
 const MAX_LEVEL: u8 = 9;
 
+/// Bytes of trees and of grids: everything that is made is kept, so that operations are those of the method and not of a cache.
+pub const ROOM: usize = 6 << 30;
+
 fn methods(tight: u32) -> [Method; 4] {
-    let surface = SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(tight);
-    let published =
-        |name, rule| Method::new(name, surface, TraceOptions::published(rule).with_max_level(MAX_LEVEL));
+    let surface =
+        SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(tight).with_tree_bytes(ROOM);
+    let trace = |trace: TraceOptions| trace.with_max_level(MAX_LEVEL).with_cache_bytes(ROOM);
+    let published = |name, rule| Method::new(name, surface, trace(TraceOptions::published(rule)));
     [
         published("entry", FootprintRule::Entry),
         published("final-approach", FootprintRule::FinalApproach),
         published("exact-final-approach", FootprintRule::ExactFinalApproach),
-        Method::new("default", SurfaceOptions::default(), TraceOptions::default().with_max_level(MAX_LEVEL)),
+        Method::new(
+            "default",
+            SurfaceOptions::default().with_tree_bytes(ROOM),
+            trace(TraceOptions::default()),
+        ),
     ]
 }
 

@@ -10,15 +10,19 @@ use crate::{
     surface::{LimitPoint, SIZE},
 };
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
-use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality};
+use umbrage_accel::{BoxBvh, BoxFanVisitor, BoxVisitor, BuildQuality, FAN};
 use umbrage_geom::{
     MeshError, MeshObject, Ray, TriangleHit, TriangleMesh,
     glam::{Affine3A, Vec3},
+    kernel::fan::FanRays,
     mesh::MAX_ELEMENTS,
 };
 
 /// Segments of an edge or middle line by which its length is measured.
 const SEGMENTS: usize = 2;
+
+/// Fewest rays of one origin that walk together.
+const SMALLEST_FAN: usize = 3;
 
 /// Boxes up to which the hierarchy is built with care.
 const CAREFUL: usize = 1 << 15;
@@ -145,6 +149,34 @@ impl RatedSurface {
         let Some(grid_ray) = GridRay::new(ray) else { return false };
         let mut visitor = Visitor::<true> { surface: self, ray: grid_ray, closest: None };
         self.bvh.walk_unsorted(ray, &mut visitor).is_break()
+    }
+
+    /// [`Self::any_hit`] of each ray; fastest for rays in a row that share their origin.
+    ///
+    /// # Panics
+    /// If there are not as many `hits` as `rays`.
+    pub fn any_hits(&self, rays: &[Ray], hits: &mut [bool]) {
+        assert_eq!(rays.len(), hits.len(), "one answer a ray");
+        let mut start = 0;
+        while let Some(first) = rays.get(start) {
+            let bits = |ray: &Ray, axis: usize| ray.origin[axis].to_bits() ^ first.origin[axis].to_bits();
+            let same = |ray: &&Ray| bits(ray, 0) | bits(ray, 1) | bits(ray, 2) == 0;
+            let end = start + rays[start..].iter().take(FAN).take_while(same).count();
+            let (fan, answers) = (&rays[start..end], &mut hits[start..end]);
+            let mut answered = 0;
+            if fan.len() >= SMALLEST_FAN {
+                let mut visitor =
+                    FanVisitor { surface: self, rays: fan, origin: first.origin.to_array(), hits: 0 };
+                answered = self.bvh.walk_fan(fan, &mut visitor);
+                for (r, hit) in answers.iter_mut().enumerate() {
+                    *hit = visitor.hits >> r & 1 == 1;
+                }
+            }
+            for r in (0..fan.len()).filter(|r| answered >> r & 1 == 0) {
+                answers[r] = self.any_hit(&fan[r]);
+            }
+            start = end;
+        }
     }
 
     /// The hit with the smallest `t`; ties go to the first patch.
@@ -278,6 +310,24 @@ impl<const ANY: bool> BoxVisitor for Visitor<'_, ANY> {
             Some((_, hit, _)) => hit.t,
             None => self.ray.ray.tfar,
         })
+    }
+}
+
+/// Looks for any hits of rays of one origin.
+struct FanVisitor<'a> {
+    surface: &'a RatedSurface,
+    rays: &'a [Ray],
+    origin: [f32; 3],
+    /// A bit each.
+    hits: u32,
+}
+
+impl BoxFanVisitor for FanVisitor<'_> {
+    #[inline(always)]
+    fn visit(&mut self, node: u32, rays: u32, fan: &FanRays<FAN>) -> u32 {
+        let hits = self.surface.cells.trace_fan(node, rays, fan, self.origin, self.rays);
+        self.hits |= hits;
+        hits
     }
 }
 

@@ -63,6 +63,37 @@ fn rays_agree_with_the_triangles() {
     }
 }
 
+/// Rays in batches have the answers of single rays: shared origins, others between them, rays that no fan takes.
+#[test]
+fn batches_have_the_answers_of_single_rays() {
+    for (name, mesh) in zoo() {
+        let rated = wild(&mesh, 5);
+        let all: Vec<Ray> = rays(rated.surface()).collect();
+        let mut batch = Vec::new();
+        for (i, ray) in all.iter().enumerate() {
+            // Runs of 0 to 40 rays from one point.
+            let point = all[i / 40 * 40].origin;
+            let own = hash(i as u32 / 40) % 4 == 0 && i % 3 == 0;
+            batch.push(if own { *ray } else { Ray { origin: point, ..*ray } });
+            if i % 50 == 7 {
+                batch.push(Ray { origin: point, direction: Vec3::splat(1e-30), ..*ray });
+                batch.push(Ray { origin: point, direction: Vec3::NAN, ..*ray });
+                // From the surface itself.
+                let patch = i as u32 % rated.surface().patch_count() as u32;
+                let on = rated.surface().limit(patch, 0.5, 0.25).position;
+                batch.extend([-0.1, 0.0, 0.1].map(|x| Ray::between(on, point + x)));
+            }
+        }
+        let mut hits = vec![false; batch.len()];
+        rated.any_hits(&batch, &mut hits);
+        for (ray, hit) in batch.iter().zip(&hits) {
+            assert_eq!(*hit, rated.any_hit(ray), "{name}: {ray:?}");
+        }
+        assert!(hits.contains(&true) && hits.contains(&false));
+        rated.any_hits(&[], &mut []);
+    }
+}
+
 /// Every edge of a closed surface has two triangles that run along it in opposite directions.
 #[test]
 fn closed_surfaces_stay_closed() {

@@ -1,7 +1,7 @@
 //! The fan filter one lane at a time, in plain operations.
 
 use super::{
-    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, TriangleBlock},
+    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, Lanes},
     DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR,
 };
 
@@ -18,8 +18,8 @@ pub struct Planes {
     pub(super) volume_error: [f32; LANES],
     /// No hit is further.
     pub(super) reach: [f32; LANES],
-    /// Triangles.
-    pub(super) used: usize,
+    /// Triangles, a bit each.
+    pub(super) used: u8,
 }
 
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
@@ -42,10 +42,10 @@ impl Planes {
 
     /// Looks at `block` from the finite point `origin`.
     #[inline]
-    pub fn new(block: &TriangleBlock, origin: [f32; 3]) -> Self {
-        let mut this = Self { used: block.len(), ..Self::EMPTY };
+    pub fn new(block: &impl Lanes, origin: [f32; 3]) -> Self {
+        let mut this = Self { used: block.used(), ..Self::EMPTY };
         for lane in 0..LANES {
-            let corners = block.get(lane);
+            let corners = block.triangle(lane);
             let minus = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
             let edges =
                 [minus(corners[1], corners[2]), minus(corners[2], corners[0]), minus(corners[0], corners[1])];
@@ -70,7 +70,7 @@ impl Planes {
     #[inline]
     pub fn filter(&self, direction: [f32; 3], near: f32, far: f32) -> BlockMask {
         let mut mask = BlockMask::default();
-        for lane in 0..self.used {
+        for lane in (0..LANES).filter(|lane| self.used >> lane & 1 == 1) {
             match self.hit(lane, direction, near, far) {
                 Some(true) => mask.certain |= 1 << lane,
                 Some(false) => {}
@@ -124,7 +124,7 @@ impl Planes {
     /// One bit for each triangle.
     #[inline(always)]
     pub fn used(&self) -> u32 {
-        (1 << self.used) - 1
+        self.used.into()
     }
 
     /// Triangles of which the origin is for certain on the front side, and on the back side, one bit each.

@@ -1,10 +1,7 @@
 //! The fan filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    super::{
-        BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, TriangleBlock,
-        x86::{Avx2, corner},
-    },
+    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, Lanes as Triangles, x86::Avx2},
     DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR, scalar,
 };
 use std::arch::x86_64::*;
@@ -49,8 +46,10 @@ fn largest(v: [[__m256; 3]; 3]) -> __m256 {
 
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn planes(block: &TriangleBlock, origin: [f32; 3]) -> Planes {
-    let at = |c: usize| [corner(block, c, 0), corner(block, c, 1), corner(block, c, 2)];
+fn planes(block: &impl Triangles, origin: [f32; 3]) -> Planes {
+    // SAFETY: this function's target features.
+    let corner = |c: usize, axis: usize| unsafe { block.corner(c, axis) };
+    let at = |c: usize| [corner(c, 0), corner(c, 1), corner(c, 2)];
     let corners = [at(0), at(1), at(2)];
     let origin = [_mm256_set1_ps(origin[0]), _mm256_set1_ps(origin[1]), _mm256_set1_ps(origin[2])];
     let [a, b, c] = [minus(corners[0], origin), minus(corners[1], origin), minus(corners[2], origin)];
@@ -188,7 +187,7 @@ fn store(planes: &Planes) -> scalar::Planes {
     put(&mut rows.volume, planes.volume);
     put(&mut rows.volume_error, planes.volume_error);
     put(&mut rows.reach, planes.reach);
-    rows.used = planes.used.count_ones() as usize;
+    rows.used = planes.used;
     rows
 }
 
@@ -197,7 +196,7 @@ impl Avx2 {
     ///
     /// Fast only when inlined into a function with these target features.
     #[inline(always)]
-    pub fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Planes {
+    pub fn planes(self, block: &impl Triangles, origin: [f32; 3]) -> Planes {
         // SAFETY: `self` proves the target features.
         unsafe { planes(block, origin) }
     }
