@@ -73,7 +73,7 @@ fn batches_have_the_answers_of_single_rays() {
         for (i, ray) in all.iter().enumerate() {
             // Runs of 0 to 40 rays from one point.
             let point = all[i / 40 * 40].origin;
-            let own = hash(i as u32 / 40) % 4 == 0 && i % 3 == 0;
+            let own = hash(i as u32 / 40).is_multiple_of(4) && i.is_multiple_of(3);
             batch.push(if own { *ray } else { Ray { origin: point, ..*ray } });
             if i % 50 == 7 {
                 batch.push(Ray { origin: point, direction: Vec3::splat(1e-30), ..*ray });

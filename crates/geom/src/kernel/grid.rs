@@ -87,9 +87,9 @@ impl BoxBlock {
         for (child, column) in columns.iter_mut().enumerate() {
             for r in (0..N).filter(|r| rays >> r & 1 == 1) {
                 let (mut entry, mut exit) = (fan.slab_near[r], fan.slab_far[r]);
-                for axis in 0..3 {
+                for (axis, origin) in origin.iter().enumerate() {
                     let row = 2 * axis + (fan.negative[axis][r] as usize & 1);
-                    let relative = |row: usize| self.plane(axis, self.planes[row][child]) - origin[axis];
+                    let relative = |row: usize| self.plane(axis, self.planes[row][child]) - origin;
                     // The comparisons are false for NaN, which drops it.
                     let (near, far) =
                         (relative(row) * fan.inv_near[axis][r], relative(row ^ 1) * fan.inv_far[axis][r]);
