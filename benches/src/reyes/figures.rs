@@ -50,17 +50,27 @@ const fn figure(
 }
 
 /// Finest rate: a shadow ray that starts without width would ask for any.
-const MAX_LEVEL: u8 = 9;
+fn max_level(shadows: Shadows) -> u8 {
+    if shadows == Shadows::FromPixel { 12 } else { 9 }
+}
 
-fn methods(tight: u32) -> [Method; 4] {
-    let surface = SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(tight);
-    let published =
-        |name, rule| Method::new(name, surface, TraceOptions::published(rule).with_max_level(MAX_LEVEL));
+/// Bytes of trees and of grids: everything that is made is kept, so that operations are those of the method and not of a cache.
+pub const ROOM: usize = 6 << 30;
+
+fn methods(tight: u32, shadows: Shadows) -> [Method; 4] {
+    let surface =
+        SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(tight).with_tree_bytes(ROOM);
+    let trace = |trace: TraceOptions| trace.with_max_level(max_level(shadows)).with_cache_bytes(ROOM);
+    let published = |name, rule| Method::new(name, surface, trace(TraceOptions::published(rule)));
     [
         published("entry", FootprintRule::Entry),
         published("final-approach", FootprintRule::FinalApproach),
         published("exact-final-approach", FootprintRule::ExactFinalApproach),
-        Method::new("default", SurfaceOptions::default(), TraceOptions::default().with_max_level(MAX_LEVEL)),
+        Method::new(
+            "default",
+            SurfaceOptions::default().with_tree_bytes(ROOM),
+            trace(TraceOptions::default()),
+        ),
     ]
 }
 
@@ -77,7 +87,7 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
             shadows: figure.shadows,
         };
         let truth = reference.render(&setting);
-        let methods = methods(figure.tight);
+        let methods = methods(figure.tight, figure.shadows);
         let mut frames: Vec<Vec<Frame>> = methods.iter().map(|_| Vec::new()).collect();
         for _ in 0..passes {
             for (method, frames) in methods.iter().zip(&mut frames) {

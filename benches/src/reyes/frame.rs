@@ -3,7 +3,7 @@
 use super::scenes::{Light, Scene, View, shadow};
 use anyhow::Result;
 use std::{sync::Arc, time::Instant};
-use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_accel::{BuildOptions, Bvh, FAN};
 use umbrage_geom::{
     Ray, TriangleMesh,
     glam::{Vec2, Vec3},
@@ -222,7 +222,13 @@ impl Caster for RatedSurface {
     }
 
     fn count_blocked(&mut self, rays: &[Ray]) -> usize {
-        rays.iter().filter(|ray| self.any_hit(ray)).count()
+        let mut blocked = 0;
+        for rays in rays.chunks(FAN) {
+            let mut hits = [false; FAN];
+            self.any_hits(rays, &mut hits[..rays.len()]);
+            blocked += hits.iter().filter(|&&hit| hit).count();
+        }
+        blocked
     }
 }
 

@@ -20,11 +20,17 @@ const COLORS: [&str; 14] = [
     "#17becf", "#000000", "#005f5f", "#aa5500", "#3333aa",
 ];
 
-/// Numbers to mark between `low` and `high`: 1, 2, 5 times powers of ten.
+/// Numbers to mark between `low` and `high`: 1, 2, 5 times powers of ten, and some between where these are too few.
 fn ticks(low: f64, high: f64) -> Vec<f64> {
-    let first = low.log10().floor() as i32;
-    let all = (first..=high.log10().ceil() as i32).flat_map(|e| [1.0, 2.0, 5.0].map(|m| m * 10f64.powi(e)));
-    all.filter(|x| (low..=high).contains(x)).collect()
+    let of = |digits: &[u32]| -> Vec<f64> {
+        let powers = low.log10().floor() as i32..=high.log10().ceil() as i32;
+        // By text, so that 15 times a thousandth is 0.015.
+        let all =
+            powers.flat_map(|e| digits.iter().filter_map(move |d| format!("{d}e{}", e - 1).parse().ok()));
+        all.filter(|x| (low..=high).contains(x)).collect()
+    };
+    let few = of(&[10, 20, 50]);
+    if few.len() < 3 { of(&[10, 15, 20, 30, 40, 50, 70]) } else { few }
 }
 
 /// The plot as an SVG document. Points with a number that is not positive are left out.
@@ -98,5 +104,6 @@ mod tests {
             assert!(x > FRAME[0] && x < WIDTH);
         }
         assert_eq!(ticks(0.9, 6.0), [1.0, 2.0, 5.0]);
+        assert_eq!(ticks(0.011, 0.035), [0.015, 0.02, 0.03]);
     }
 }

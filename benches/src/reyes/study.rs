@@ -3,7 +3,7 @@
 
 use super::{
     Options, cracks,
-    figures::row,
+    figures::{ROOM, row},
     frame::{Frame, Method, Reference, Setting, Shadows, render},
     plot::{Point, svg},
     scenes::Scene,
@@ -17,11 +17,12 @@ use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, Trace
 const MAX_LEVEL: u8 = 9;
 
 fn methods() -> Vec<Method> {
-    let hull = SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(0);
-    let trace = TraceOptions::default().with_max_level(MAX_LEVEL);
-    let published = |rule| TraceOptions::published(rule).with_max_level(MAX_LEVEL);
+    let tight = SurfaceOptions::default().with_tree_bytes(ROOM);
+    let hull = tight.with_bounds(Bounds::Hull).with_tight_levels(0);
+    let room = |options: TraceOptions| options.with_max_level(MAX_LEVEL).with_cache_bytes(ROOM);
+    let trace = room(TraceOptions::default());
+    let published = |rule| room(TraceOptions::published(rule));
     let method = Method::new;
-    let tight = SurfaceOptions::default();
     let equal = trace.with_rates(Rates::Equal);
     vec![
         method("entry", hull, published(FootprintRule::Entry)),
@@ -60,8 +61,7 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
         let setting = Setting { view: scene.view(close, size), lights, strata: [2, 2], shadows };
         let truth = reference.render(&setting);
         // Rates without end near the point take minutes at full size.
-        let chosen =
-            methods.iter().filter(|m| shadows == Shadows::FromPixel && lit || !m.name.contains("exact"));
+        let chosen = methods.iter().filter(|m| shadows == Shadows::FromPixel || !m.name.contains("exact"));
         // Rates chosen once don't depend on how shadow rays are traced.
         let chosen = chosen.filter(|m| shadows == Shadows::FromPixel || m.once.is_none());
         let chosen: Vec<&Method> = chosen.collect();

@@ -3,13 +3,14 @@
 use crate::{
     BackEnd, BuildError, BuildQuality,
     bvh::MAX_PRIMS,
-    kernel::{Job, Kernel, NodeRay},
+    fan::Walk,
+    kernel::{FAN, Job, Kernel, NodeRay},
     node::Tree,
     topology::Topology,
-    traversal::{SortedWalk, Walk, just_behind},
+    traversal::{self, SortedWalk, just_behind},
 };
 use std::ops::ControlFlow;
-use umbrage_geom::{Aabb, Ray, SlabRay};
+use umbrage_geom::{Aabb, Ray, SlabRay, kernel::fan::FanRays};
 
 /// An 8-wide bounding volume hierarchy over boxes: patches, grids, whatever can say itself where a ray meets it.
 #[derive(Clone, Debug)]
@@ -24,6 +25,13 @@ pub struct BoxBvh {
 pub trait BoxVisitor {
     /// Called with the index of a box; see [`BoxBvh::walk`].
     fn visit(&mut self, index: u32) -> ControlFlow<(), f32>;
+}
+
+/// What to do in boxes that rays of one origin may enter: see [`BoxBvh::walk_fan`].
+pub trait BoxFanVisitor {
+    /// Called with the index of a box and the rays of `fan` that may enter it, a bit each. Returns those of them that need no
+    /// more.
+    fn visit(&mut self, index: u32, rays: u32, fan: &FanRays<FAN>) -> u32;
 }
 
 struct Closure<F>(F);
@@ -81,6 +89,17 @@ impl BoxBvh {
         self.back_end.run(WalkUnsorted(WalkBoxes { bvh: self, ray, visitor }))
     }
 
+    /// [`Self::walk_unsorted`] for rays of one origin together; returns those that were answered, a bit each.
+    ///
+    /// The others are not valid, or their direction or segment is of extreme size: they need a walk of their own.
+    ///
+    /// # Panics
+    /// If there are no rays or more than [`FAN`]; origins of the same bits are for the caller to see to.
+    pub fn walk_fan(&self, rays: &[Ray], visitor: &mut impl BoxFanVisitor) -> u32 {
+        assert!((1..=FAN).contains(&rays.len()), "{} rays are no fan", rays.len());
+        self.back_end.run(WalkFan { bvh: self, rays, visitor })
+    }
+
     /// Smallest box around all boxes; empty if there are none.
     pub fn bounds(&self) -> Aabb {
         if self.tree.nodes.is_empty() { Aabb::EMPTY } else { self.tree.bounds }
@@ -111,13 +130,37 @@ impl<V: BoxVisitor> Job for WalkUnsorted<'_, V> {
             return ControlFlow::Continue(());
         }
         let node = NodeRay::new(slab);
-        let mut walk = Walk::new(kernel, &bvh.tree, &node, &mut ());
+        let mut walk = traversal::Walk::new(kernel, &bvh.tree, &node, &mut ());
         while let Some(leaf) = walk.next(&mut ()) {
             if visitor.visit(bvh.prims[leaf]).is_break() {
                 return ControlFlow::Break(());
             }
         }
         ControlFlow::Continue(())
+    }
+}
+
+struct WalkFan<'a, V> {
+    bvh: &'a BoxBvh,
+    rays: &'a [Ray],
+    visitor: &'a mut V,
+}
+
+impl<V: BoxFanVisitor> Job for WalkFan<'_, V> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> u32 {
+        let Self { bvh, rays, visitor } = self;
+        let mut walk = Walk::new();
+        let fit = walk.start(0, rays, &bvh.bounds());
+        if bvh.tree.nodes.is_empty() {
+            return fit;
+        }
+        while let Some((leaf, rays)) = walk.next_leaf(kernel, &bvh.tree) {
+            walk.alive &= !visitor.visit(bvh.prims[leaf], rays, &walk.fan.rays);
+        }
+        fit
     }
 }
 

@@ -9,7 +9,7 @@ use self::parts::{Part, Parts, may_enter};
 use crate::{
     Bvh, Statistics,
     kernel::{Ahead, Columns, FAN, Fan, Kernel, Prepared, Rows, Stack},
-    node::{LEAF, Node, Note, WIDTH},
+    node::{LEAF, Node, Note, Tree, WIDTH},
     traversal,
 };
 use std::ops::Range;
@@ -168,12 +168,12 @@ pub trait FanGoal {
 }
 
 /// One fan on its way.
-struct Walk {
-    fan: Fan,
+pub(crate) struct Walk {
+    pub(crate) fan: Fan,
     stack: Stack,
     top: usize,
     /// Rays that still look.
-    alive: u32,
+    pub(crate) alive: u32,
     origin: [f32; 3],
     envelope: Envelope,
     /// Whether the envelope may exclude anything.
@@ -188,7 +188,7 @@ struct Walk {
 }
 
 impl Walk {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let rays = FanRays::default();
         let envelope = Envelope::new(&rays, 0, 0);
         let (stack, origin) = (Stack::new(), [0.0; 3]);
@@ -210,7 +210,7 @@ impl Walk {
 
     /// Takes up `rays` of one origin; returns those that it can answer.
     #[inline(always)]
-    fn start(&mut self, first: usize, rays: &[Ray], bounds: &Aabb) -> u32 {
+    pub(crate) fn start(&mut self, first: usize, rays: &[Ray], bounds: &Aabb) -> u32 {
         let mut fit = 0;
         if rays[0].origin.is_finite() {
             for (i, chunk) in rays.chunks(CHUNK).enumerate() {
@@ -231,6 +231,68 @@ impl Walk {
         fit
     }
 
+    /// The next node or leaf, and the rays that enter it.
+    #[inline(always)]
+    fn pop(&mut self) -> Option<(u32, u32)> {
+        loop {
+            if self.top == 0 {
+                return None;
+            }
+            self.top -= 1;
+            let mask = self.stack.rays[self.top] & self.alive;
+            if mask != 0 {
+                return Some((self.stack.children[self.top], mask));
+            }
+        }
+    }
+
+    /// Children that the rays in `mask` may enter, as far as one test for all tells.
+    #[inline(always)]
+    fn wanted<K: Kernel>(&self, kernel: K, node: &Node, rows: &Rows, mask: u32) -> u32 {
+        if self.narrow && mask.count_ones() >= WIDE {
+            node.used & self.envelope.mask(kernel, rows)
+        } else {
+            node.used
+        }
+    }
+
+    /// Puts the `wanted` children that the rays in `mask` enter on the stack.
+    #[inline(always)]
+    fn push<K: Kernel, S: Statistics>(
+        &mut self,
+        kernel: K,
+        node: &Node,
+        rows: &Rows,
+        mask: u32,
+        wanted: u32,
+        stats: &mut S,
+    ) {
+        let bottom = self.top;
+        if wanted & wanted.wrapping_sub(1) == 0 {
+            let slot = wanted.trailing_zeros() as usize % WIDTH;
+            (self.stack.children[bottom], self.stack.rays[bottom]) = (node.children[slot], mask);
+            self.top += usize::from(wanted != 0);
+        } else {
+            stats.node(node.len() as u32);
+            self.top = kernel.fan_push(node, rows, &self.fan, mask, wanted, &mut self.stack, bottom);
+        }
+    }
+
+    /// Goes on to the next leaf, and returns it with the rays that enter it.
+    #[inline(always)]
+    pub(crate) fn next_leaf<K: Kernel>(&mut self, kernel: K, tree: &Tree) -> Option<(usize, u32)> {
+        while let Some((child, mask)) = self.pop() {
+            if child & LEAF != 0 {
+                return Some(((child & !LEAF) as usize, mask));
+            }
+            let node = &tree.nodes[child as usize];
+            let rows = kernel.rows(node, self.origin);
+            let wanted = self.wanted(kernel, node, &rows, mask);
+            self.push(kernel, node, &rows, mask, wanted, &mut ());
+        }
+        None
+    }
+
     /// Visits one node or leaf; false if there was none left. `walk` is its own number.
     #[inline(always)]
     fn step<K: Kernel, S: Statistics, G: FanGoal>(
@@ -241,36 +303,16 @@ impl Walk {
         goal: &mut G,
         stats: &mut S,
     ) -> bool {
-        let (child, mask) = loop {
-            if self.top == 0 {
-                return false;
-            }
-            self.top -= 1;
-            let mask = self.stack.rays[self.top] & self.alive;
-            if mask != 0 {
-                break (self.stack.children[self.top], mask);
-            }
-        };
+        let Some((child, mask)) = self.pop() else { return false };
         if child & LEAF != 0 {
             self.leaf(kernel, bvh, (child & !LEAF) as usize, mask, walk, goal, stats);
             return true;
         }
         let node = &bvh.tree.nodes[child as usize];
         let rows = kernel.rows(node, self.origin);
-        let mut wanted = node.used;
-        let bottom = self.top;
-        if self.narrow && mask.count_ones() >= WIDE {
-            wanted &= self.envelope.mask(kernel, &rows);
-        }
-        if G::ENDS && self.ends(kernel, node, &rows, child, wanted, mask, walk, goal, stats) {
-            // Whatever rays enter is on the stack.
-        } else if wanted & wanted.wrapping_sub(1) == 0 {
-            let slot = wanted.trailing_zeros() as usize % WIDTH;
-            (self.stack.children[bottom], self.stack.rays[bottom]) = (node.children[slot], mask);
-            self.top += usize::from(wanted != 0);
-        } else {
-            stats.node(node.len() as u32);
-            self.top = kernel.fan_push(node, &rows, &self.fan, mask, wanted, &mut self.stack, bottom);
+        let wanted = self.wanted(kernel, node, &rows, mask);
+        if !G::ENDS || !self.ends(kernel, node, &rows, child, wanted, mask, walk, goal, stats) {
+            self.push(kernel, node, &rows, mask, wanted, stats);
         }
         // Without a loop over what was pushed, whose length nothing predicts.
         for &child in &self.stack.children[self.top.saturating_sub(3)..self.top] {

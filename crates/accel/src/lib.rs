@@ -20,7 +20,7 @@ mod traversal;
 mod view;
 
 pub use binary::{BinaryNode, BinaryTree};
-pub use boxes::{BoxBvh, BoxVisitor};
+pub use boxes::{BoxBvh, BoxFanVisitor, BoxVisitor};
 pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
 pub use fan::{FanGoal, FanRay, WALKS};

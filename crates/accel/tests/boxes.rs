@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 use std::ops::ControlFlow;
-use umbrage_accel::{BoxBvh, BoxVisitor, BuildError, BuildQuality};
-use umbrage_geom::{Aabb, Ray, SlabRay};
+use umbrage_accel::{BoxBvh, BoxFanVisitor, BoxVisitor, BuildError, BuildQuality, FAN};
+use umbrage_geom::{Aabb, Ray, SlabRay, kernel::fan::FanRays};
 
 const QUALITIES: [BuildQuality; 2] = [BuildQuality::Fast, BuildQuality::High];
 
@@ -53,6 +53,24 @@ fn visited(bvh: &BoxBvh, ray: &Ray, sorted: bool) -> Vec<u32> {
     seen.0.dedup();
     assert_eq!(seen.0.len(), count, "a box came twice");
     seen.0
+}
+
+/// Boxes that each ray of a fan may enter, until `limit` of them.
+struct CollectFan {
+    seen: Vec<Vec<u32>>,
+    limit: usize,
+}
+
+impl BoxFanVisitor for CollectFan {
+    fn visit(&mut self, index: u32, rays: u32, fan: &FanRays<FAN>) -> u32 {
+        assert!(rays != 0 && fan.far.len() == FAN);
+        let mut done = 0;
+        for (r, seen) in self.seen.iter_mut().enumerate().filter(|(r, _)| rays >> r & 1 == 1) {
+            seen.push(index);
+            done |= u32::from(seen.len() == self.limit) << r;
+        }
+        done
+    }
 }
 
 /// The box as wide as nodes may store it: to 8 bits of the largest thing around it.
@@ -116,6 +134,33 @@ proptest! {
             prop_assert!(seen.iter().all(|index| all.contains(index)));
             let (found, best) = (nearest(&seen), nearest(&all));
             prop_assert!(found <= best * (1.0 + 1e-5) + 1e-30 || found.is_nan() || best.is_nan());
+        }
+    }
+
+    /// No ray of a fan misses a box, comes twice, or is given one once it needs no more.
+    #[test]
+    fn fans_enter_what_their_rays_enter(
+        boxes in boxes(60), all in prop::collection::vec(rays(), 1..=FAN), limit in 1usize..6,
+    ) {
+        let all: Vec<Ray> = all.iter().map(|&ray| Ray { origin: all[0].origin, ..ray }).collect();
+        let bvh = BoxBvh::build(&boxes, BuildQuality::High).unwrap();
+        let mut fan = CollectFan { seen: vec![Vec::new(); all.len()], limit: usize::MAX };
+        let answered = bvh.walk_fan(&all, &mut fan);
+        let mut short = CollectFan { seen: vec![Vec::new(); all.len()], limit };
+        prop_assert_eq!(bvh.walk_fan(&all, &mut short), answered);
+        for (r, ray) in all.iter().enumerate() {
+            let seen = &mut fan.seen[r];
+            prop_assert_eq!(short.seen[r].len(), seen.len().min(limit));
+            seen.sort_unstable();
+            prop_assert!(seen.windows(2).all(|pair| pair[0] != pair[1]), "a box came twice");
+            let Some(slab) = SlabRay::new(ray).filter(|_| answered >> r & 1 == 1) else {
+                prop_assert!(seen.is_empty());
+                continue;
+            };
+            for (index, aabb) in boxes.iter().enumerate() {
+                let seen = seen.binary_search(&(index as u32)).is_ok();
+                prop_assert!(seen || !slab.surely_crosses(aabb), "box {} was missed", index);
+            }
         }
     }
 

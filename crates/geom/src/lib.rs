@@ -28,7 +28,7 @@ pub use glam;
 pub use mesh::{MeshError, MeshObject, TriangleMesh};
 pub use offset::offset_origin;
 pub use opacity::OpticalDepth;
-pub use polygon::PolygonMesh;
+pub use polygon::{BoundaryRule, CreaseMethod, FaceObject, PolygonMesh};
 pub use progress::{Cancelled, Progress};
 pub use ray::Ray;
 pub use triangle::{TriangleHit, intersect_triangle, is_degenerate, plane_side, segment_hits_triangle};

@@ -1,6 +1,7 @@
 //! Polygon meshes with the tags that subdivision surfaces need.
 
-use crate::{MeshError, TriangleMesh};
+use crate::{MeshError, MeshObject, TriangleMesh};
+use std::ops::Range;
 
 /// A mesh of polygons of any size, with creases: the control mesh of a subdivision surface.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,6 +18,39 @@ pub struct PolygonMesh {
     pub creases: Vec<([u32; 2], f32)>,
     /// Vertices with a sharpness above 0.
     pub sharp_vertices: Vec<(u32, f32)>,
+    /// Named runs of faces in order, without gaps; empty stands for one unnamed object.
+    pub objects: Vec<FaceObject>,
+}
+
+/// A named run of faces of a [`PolygonMesh`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FaceObject {
+    /// Name as in the file.
+    pub name: String,
+    /// Its faces.
+    pub faces: Range<u32>,
+}
+
+/// What happens at the boundary of an open subdivision surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum BoundaryRule {
+    /// Boundary edges are creases; boundary vertices follow the curve.
+    #[default]
+    EdgeOnly,
+    /// In addition, boundary vertices with one face are corners and keep their place.
+    EdgeAndCorner,
+}
+
+/// How the sharpness of a subdivision surface's creases decays from level to level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum CreaseMethod {
+    /// By 1 a level.
+    #[default]
+    Uniform,
+    /// By 1 a level after a Chaikin step along the crease, which smooths changes of sharpness.
+    Chaikin,
 }
 
 impl PolygonMesh {
@@ -29,6 +63,21 @@ impl PolygonMesh {
             start = end;
             face
         })
+    }
+
+    /// [`Self::objects`] of a mesh with so many triangles for each face, one number a face.
+    pub fn triangle_objects(&self, triangles: impl IntoIterator<Item = u32>) -> Vec<MeshObject> {
+        let mut ends = vec![0];
+        for count in triangles {
+            ends.push(ends[ends.len() - 1] + count);
+        }
+        let end = |face: u32| ends[(face as usize).min(ends.len() - 1)];
+        let object = |o: &FaceObject| MeshObject {
+            name: o.name.clone(),
+            triangles: end(o.faces.start)..end(o.faces.end),
+            opacity: 1.0,
+        };
+        self.objects.iter().map(object).collect()
     }
 
     /// Fan triangulation from each face's first corner.
@@ -47,6 +96,7 @@ impl PolygonMesh {
             }
             start += face.len();
         }
+        mesh.objects = self.triangle_objects(self.face_sizes.iter().map(|&size| size.max(2) - 2));
         mesh.validate()?;
         Ok(mesh)
     }
@@ -62,8 +112,15 @@ mod tests {
             positions: vec![[0.0; 3]; 5],
             face_sizes: vec![3, 4],
             corners: vec![0, 1, 2, 0, 2, 3, 4],
+            objects: vec![
+                FaceObject { name: "a".into(), faces: 0..1 },
+                FaceObject { name: "b".into(), faces: 1..2 },
+            ],
             ..PolygonMesh::default()
         };
-        assert_eq!(mesh.triangulate().unwrap().triangles, [[0, 1, 2], [0, 2, 3], [0, 3, 4]]);
+        let fans = mesh.triangulate().unwrap();
+        assert_eq!(fans.triangles, [[0, 1, 2], [0, 2, 3], [0, 3, 4]]);
+        let objects: Vec<_> = fans.objects.iter().map(|o| (&o.name[..], o.triangles.clone())).collect();
+        assert_eq!(objects, [("a", 0..1), ("b", 1..3)]);
     }
 }

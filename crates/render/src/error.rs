@@ -14,6 +14,14 @@ pub enum RenderError {
         /// What is wrong with it.
         source: BuildError,
     },
+    /// A control mesh is no subdivision surface, or its rate impossible.
+    #[error("{object}: {source}")]
+    Surface {
+        /// Name of the mesh.
+        object: String,
+        /// What is wrong with it.
+        source: umbrage_reyes::SurfaceError,
+    },
     /// A prefiltered hierarchy could not be built.
     #[error("{object}: {source}")]
     Prefilter {

@@ -526,7 +526,7 @@ mod tests {
         let point = Light::Point { position: [0.0; 3], intensity: [1.0; 3] };
         let scene = Scene {
             camera,
-            meshes: vec![NamedMesh { name: "cube".into(), mesh: cube() }],
+            meshes: vec![NamedMesh::new("cube", cube())],
             instances: vec![
                 instance("here", Affine3A::IDENTITY),
                 instance("there", Affine3A::from_translation(Vec3::splat(4.0))),

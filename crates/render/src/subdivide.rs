@@ -1,12 +1,13 @@
 //! Control meshes as Catmull-Clark surfaces: watertight meshes of micropolygons, for all methods.
 //!
-//! A picture's rates are those of its camera, so shadows and ambient rays see the surface that the camera sees. A bake has no
-//! camera and divides all faces alike.
+//! A picture's rates are those of its camera, so shadows and ambient rays see the surface that the camera sees. A bake of a bare
+//! mesh has no camera and divides all faces alike.
 
+use crate::RenderError;
 use std::sync::Arc;
 use umbrage_geom::{PolygonMesh, TriangleMesh, glam::Vec3};
 use umbrage_reyes::{RatedSurface, Surface, SurfaceError, SurfaceOptions};
-use umbrage_scene::{Ground, Scene, Settings};
+use umbrage_scene::{Ground, Scene, Settings, Subdivision, SubdivisionRate};
 
 /// Level of the mesh around which a camera is placed.
 const ROUGH_LEVEL: u8 = 2;
@@ -14,38 +15,79 @@ const ROUGH_LEVEL: u8 = 2;
 /// Most times that a face is halved for a camera, however near.
 const MAX_LEVEL: u8 = 8;
 
-fn surface(control: &PolygonMesh) -> Result<Arc<Surface>, SurfaceError> {
+fn surface(subdivision: &Subdivision) -> Result<Arc<Surface>, SurfaceError> {
     // Patches are divided once, so nothing of their trees has to be kept.
-    let options = SurfaceOptions::default().with_tight_levels(0).with_tree_bytes(0);
-    Ok(Arc::new(Surface::build(control, &options)?))
+    let options = SurfaceOptions::default()
+        .with_tight_levels(0)
+        .with_tree_bytes(0)
+        .with_boundary(subdivision.boundary)
+        .with_creases(subdivision.creases);
+    Ok(Arc::new(Surface::build(&subdivision.control, &options)?))
 }
 
 /// The limit surface with every face of four corners cut into `2^level` by `2^level` cells (other faces become one such
-/// quadrilateral a corner), two triangles each, with normals and texture coordinates.
+/// quadrilateral a corner), two triangles each, with normals, texture coordinates and objects.
 ///
 /// # Errors
 /// [`SurfaceError`] for what is wrong with the control mesh, or a level beyond 12.
 pub fn mesh_at_level(control: &PolygonMesh, level: u8) -> Result<TriangleMesh, SurfaceError> {
-    Ok(RatedSurface::new(surface(control)?, |_| [level; 2])?.to_mesh())
+    let subdivision = Subdivision::new(control.clone(), SubdivisionRate::Level(level));
+    at_level(surface(&subdivision)?, level)
+}
+
+fn at_level(surface: Arc<Surface>, level: u8) -> Result<TriangleMesh, SurfaceError> {
+    Ok(RatedSurface::new(surface, |_| [level; 2])?.to_mesh())
+}
+
+/// Puts micropolygons in the place of all control meshes of a scene, at rates for its camera and image height. Objects keep
+/// their order. Does nothing to other meshes, nor a second time.
+///
+/// # Errors
+/// [`RenderError::Surface`] for what is wrong with a control mesh or its rate.
+pub fn refine(scene: &mut Scene) -> Result<(), RenderError> {
+    for index in 0..scene.meshes.len() {
+        let Some(subdivision) = scene.meshes[index].subdivision.take() else { continue };
+        let mesh = refined(scene, index, &subdivision);
+        let named = &mut scene.meshes[index];
+        named.mesh = mesh.map_err(|source| RenderError::Surface { object: named.name.clone(), source })?;
+    }
+    Ok(())
+}
+
+/// The surface whose control mesh is mesh `index`.
+fn refined(scene: &Scene, index: usize, subdivision: &Subdivision) -> Result<TriangleMesh, SurfaceError> {
+    let surface = surface(subdivision)?;
+    match subdivision.rate {
+        SubdivisionRate::Pixels(pixels) => {
+            let half = (0.5 * scene.camera.fov).to_radians().tan();
+            let width = 2.0 * half / scene.settings.height.max(1) as f32 * pixels;
+            let eye = Vec3::from(scene.camera.position);
+            let instances = scene.instances.iter().filter(|i| i.mesh == index);
+            let places: Vec<_> = instances.map(|i| i.world_from_object).collect();
+            Ok(RatedSurface::for_eye_on(surface, &places, eye, width, MAX_LEVEL)?.to_mesh())
+        }
+        SubdivisionRate::Level(level) => at_level(surface, level),
+    }
 }
 
 /// [`Scene::around_mesh`] with a surface whose micropolygons are about `pixels` pixels long as the scene's camera sees them.
 /// `settings` changes the scene's settings before rates are chosen.
 ///
 /// # Errors
-/// [`SurfaceError`] for what is wrong with the control mesh, or an edge length that is not positive.
+/// [`RenderError::Surface`] for what is wrong with the control mesh, or an edge length that is not positive.
 pub fn scene_around(
     name: &str,
     control: &PolygonMesh,
     pixels: f32,
     settings: impl FnOnce(&mut Settings),
-) -> Result<Scene, SurfaceError> {
-    let mut scene = Scene::around_mesh(name, mesh_at_level(control, ROUGH_LEVEL)?, Ground::Plane)?;
+) -> Result<Scene, RenderError> {
+    let failed = |source| RenderError::Surface { object: name.into(), source };
+    let rough = mesh_at_level(control, ROUGH_LEVEL).map_err(failed)?;
+    let mut scene = Scene::around_mesh(name, rough, Ground::Plane).map_err(|e| failed(e.into()))?;
     settings(&mut scene.settings);
-    let half = (0.5 * scene.camera.fov).to_radians().tan();
-    let width = 2.0 * half / scene.settings.height.max(1) as f32 * pixels;
-    let eye = Vec3::from(scene.camera.position);
-    scene.meshes[0].mesh = RatedSurface::for_eye(surface(control)?, eye, width, MAX_LEVEL)?.to_mesh();
+    let rate = SubdivisionRate::Pixels(pixels);
+    scene.meshes[0].subdivision = Some(Subdivision::new(control.clone(), rate));
+    refine(&mut scene)?;
     Ok(scene)
 }
 
@@ -72,6 +114,42 @@ mod tests {
         assert_eq!(at(200, 2.0), at(400, 4.0));
         assert!(at(400, 2.0) > 2 * at(200, 2.0));
         assert!(scene_around("cube", &cube(), 0.0, |_| ()).is_err());
+    }
+
+    #[test]
+    fn scenes_divide_what_they_name() {
+        let text = r#"
+            camera = { position = [0, 2, 9], target = [0, 1, 0] }
+            image = { width = 60, height = 60 }
+            meshes.far = { generator = "cube-sphere", subdivide = 2 }
+            meshes.near = { generator = "cube-sphere", subdivide = { pixels = 2 } }
+            meshes.plain = { generator = "cube-sphere" }
+            meshes.unused = { generator = "cube-sphere", subdivide = 0.1 }
+            [[objects]]
+            mesh = "far"
+            translate = [0, 0, -40]
+            [[objects]]
+            mesh = "near"
+            transforms = [{ translate = [0, 0, -40] }, { translate = [2, 0, 0], scale = [1, 2, 0.5] }]
+            [[objects]]
+            mesh = "plain"
+            [[objects]]
+            mesh = { generator = "open-patch", subdivide = { level = 2, boundary = "edge-and-corner" } }
+        "#;
+        let mut scene = Scene::parse(text, "".as_ref()).unwrap();
+        let before = scene.meshes[2].mesh.clone();
+        refine(&mut scene).unwrap();
+        assert!(scene.meshes.iter().all(|m| m.subdivision.is_none()));
+        let count = |i: usize| scene.meshes[i].mesh.triangles.len();
+        assert!(count(1) > 4 * count(0) && count(0) >= 12, "{} {}", count(1), count(0));
+        assert_eq!((&scene.meshes[2].mesh, count(3), count(4)), (&before, 12, 15 * 16 * 2));
+        assert!(scene.meshes[4].mesh.positions.contains(&[-1.0, 0.5, 1.0]), "a corner that keeps its place");
+        let again = scene.meshes[0].mesh.clone();
+        refine(&mut scene).unwrap();
+        assert_eq!(scene.meshes[0].mesh, again);
+        scene.meshes[1].subdivision = Some(Subdivision::default());
+        let error = refine(&mut scene).unwrap_err().to_string();
+        assert!(error.starts_with("near: "), "{error}");
     }
 
     #[test]

@@ -48,7 +48,7 @@ fn floor_scene() -> Scene {
 fn add(scene: &mut Scene, mesh: TriangleMesh, material: usize) {
     let index = scene.meshes.len();
     let materials = vec![material; mesh.objects_or_whole().len()];
-    scene.meshes.push(NamedMesh { name: format!("mesh{index}"), mesh });
+    scene.meshes.push(NamedMesh::new(format!("mesh{index}"), mesh));
     let name = format!("instance{index}");
     scene.instances.push(Instance { name, mesh: index, world_from_object: Affine3A::IDENTITY, materials });
 }
@@ -216,7 +216,7 @@ fn instances_show_the_same_picture_as_copies() {
     let instanced = Geometry::build(&scene).unwrap();
     assert!(instanced.is_instanced());
     let mut copied = scene.clone();
-    copied.meshes = vec![NamedMesh { name: "all".into(), mesh: scene.flatten() }];
+    copied.meshes = vec![NamedMesh::new("all", scene.flatten())];
     let objects = copied.meshes[0].mesh.objects.len();
     copied.instances.truncate(1);
     copied.instances[0].materials = vec![0; objects];

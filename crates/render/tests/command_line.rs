@@ -292,6 +292,56 @@ fn masks_bake_given_points_and_write_down_their_rays() {
         .fails("bake mesh.obj -o x.ply --method rays --dump-rays rays2.bin", &["--dump-rays", "mask-table"]);
 }
 
+/// A scene file's surface at the rate of the picture, its objects of the OBJ with materials of their own.
+#[test]
+fn scene_files_have_surfaces() {
+    let folder = Folder::new();
+    let text = OBJ.replace("f 1/1 3/2", "g base\nf 1/1 3/2").replace("f 2/1", "g front\nf 2/1");
+    fs::write(folder.path("parts.obj"), text).unwrap();
+    let scene = |subdivide: &str| {
+        let text = format!(
+            r#"
+            camera = {{ position = [2, 2, 3], target = [0.3, 0.3, 0.3], fov = 20 }}
+            image = {{ width = 48, height = 48, spp = 1 }}
+            background = 0.1
+            materials.dark = {{ albedo = 0 }}
+            [ambient]
+            [[objects]]
+            mesh = {{ file = "parts.obj", subdivide = {subdivide} }}
+            materials = {{ front = "dark" }}
+            "#
+        );
+        fs::write(folder.path("surface.toml"), text).unwrap();
+    };
+    let triangles = |name: &str| {
+        let stats: serde_json::Value = serde_json::from_slice(&folder.bytes(name)).unwrap();
+        stats["triangles"].as_u64().unwrap()
+    };
+    scene("1");
+    folder.ok("render surface.toml -o a.exr --stats a.json");
+    folder.ok("render surface.toml -o b.exr --size 96x96 --stats b.json");
+    assert!(triangles("b.json") > 3 * triangles("a.json") && triangles("a.json") > 300);
+    // The front is seen from here and black; the ground would be, were it not behind.
+    let film = umbrage_render::image::read_exr(&folder.path("a.exr")).unwrap();
+    let (beauty, depth) = (film.require("beauty").unwrap(), film.require("depth").unwrap());
+    let seen: Vec<f32> =
+        (0..film.pixels()).filter(|&i| depth.pixel(i)[0] < 1e9).map(|i| beauty.pixel(i)[0]).collect();
+    let black = seen.iter().filter(|&&x| x == 0.0).count();
+    assert!(black > 100 && seen.len() > black + 30, "{black} of {} are black", seen.len());
+    scene("{ level = 1 }");
+    let json: serde_json::Value = serde_json::from_str(&folder.ok("inspect surface.toml --json")).unwrap();
+    assert_eq!(json["triangles"], 12 * 4 * 2);
+    folder.ok("bake surface.toml -o ao.ply --rays 8 --stats bake.json");
+    assert_eq!(triangles("bake.json"), 12 * 4 * 2);
+    scene("-1");
+    folder.fails("render surface.toml -o c.png", &["surface.toml:8:", "subdivide must be above 0"]);
+    // A face that is there twice.
+    let twice = format!("{OBJ}f 1/1 3/2 2/3\n");
+    fs::write(folder.path("parts.obj"), twice.replace("f 2/1", "g front\nf 2/1")).unwrap();
+    scene("1");
+    folder.fails("render surface.toml -o c.png", &["surface.toml", "parts", "not manifold"]);
+}
+
 /// Catmull-Clark surfaces: finer pictures have more triangles, shards make the same picture, bakes have vertices on the surface.
 #[test]
 fn control_meshes_become_surfaces() {

@@ -38,7 +38,7 @@ fn scene(opacity: f32) -> Scene {
             lens_radius: 0.0,
             focus_distance: None,
         },
-        meshes: vec![NamedMesh { name: "all".into(), mesh }],
+        meshes: vec![NamedMesh::new("all", mesh)],
         instances: vec![Instance {
             name: "all".into(),
             mesh: 0,

@@ -5,11 +5,16 @@
 //! row by row, one axis after the other.
 
 use crate::grid::GridRay;
+use umbrage_accel::FAN;
 use umbrage_geom::{
-    Aabb, TriangleHit,
+    Aabb, Ray, TriangleHit,
     glam::Vec3,
     intersect_triangle,
-    kernel::{BlockMask, BoxBlock, CellBlock, scalar},
+    kernel::{
+        BlockMask, BoxBlock, CellBlock,
+        fan::{self, FanRays},
+        scalar,
+    },
     segment_hits_triangle,
 };
 
@@ -26,6 +31,13 @@ impl Avx2 {
     pub(crate) fn detect() -> Option<Self> {
         None
     }
+}
+
+/// A block seen from the origin of a fan.
+enum Planes {
+    Scalar(fan::scalar::Planes),
+    #[cfg(target_arch = "x86_64")]
+    Avx2(fan::x86::Planes),
 }
 
 /// Where the cells of a patch are.
@@ -145,7 +157,8 @@ impl Cells {
             let mut children = [Aabb::EMPTY; 8];
             let count = (patch.blocks() - first).min(8);
             for (block, child) in (first..first + count).zip(&mut children) {
-                let [x, y] = block_at(block, bits).map(|i| 2 * i);
+                let [x, y] = block_at(block, bits);
+                let (x, y) = (2 * x, 2 * y);
                 for j in y..=(y + 2).min(patch.rows() - 1) {
                     for i in x..=(x + 2).min(patch.columns() - 1) {
                         *child = child.with_point(vertices[j * patch.columns() + i]);
@@ -268,6 +281,75 @@ impl Cells {
             }
         }
         found
+    }
+
+    /// Those of some rays of a fan from `origin` that hit something below a node, a bit each; `ray(r)` is the one with bit `r`.
+    #[inline(always)]
+    pub(crate) fn trace_fan(
+        &self,
+        node: u32,
+        rays: u32,
+        fan: &FanRays<FAN>,
+        origin: [f32; 3],
+        all: &[Ray],
+    ) -> u32 {
+        let patch = &self.patches[self.patch_of[node as usize] as usize];
+        let first = 8 * (node - patch.first_node);
+        let columns = self.columns(&self.nodes[node as usize], origin, fan, rays);
+        let mut hit = 0;
+        for (block, entered) in (first..patch.blocks()).zip(columns) {
+            let mut left = entered & !hit;
+            if left == 0 {
+                continue;
+            }
+            let (cells, first) = self.gather(patch, block);
+            let planes = self.planes(&cells, origin);
+            while left != 0 {
+                let r = left.trailing_zeros() as usize % FAN;
+                left &= left - 1;
+                let BlockMask { certain, uncertain: mut open } = self.fan_filter(&planes, fan, r);
+                let mut is_hit = certain != 0;
+                while open != 0 && !is_hit {
+                    let lane = open.trailing_zeros() & 7;
+                    open &= open - 1;
+                    let triangle = first + (lane & 3) + (lane >> 2) * 2 * (patch.columns() as u32 - 1);
+                    is_hit = segment_hits_triangle(&all[r], self.corners(patch, triangle));
+                }
+                hit |= u32::from(is_hit) << r;
+            }
+        }
+        hit
+    }
+
+    #[inline(always)]
+    fn columns(&self, boxes: &BoxBlock, origin: [f32; 3], fan: &FanRays<FAN>, rays: u32) -> [u32; 8] {
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx2) = self.avx2 {
+            return avx2.columns(boxes, origin, fan, rays);
+        }
+        boxes.columns(origin, fan, rays)
+    }
+
+    #[inline(always)]
+    fn planes(&self, cells: &CellBlock, origin: [f32; 3]) -> Planes {
+        #[cfg(target_arch = "x86_64")]
+        if let Some(avx2) = self.avx2 {
+            return Planes::Avx2(avx2.planes(cells, origin));
+        }
+        Planes::Scalar(fan::scalar::Planes::new(cells, origin))
+    }
+
+    #[inline(always)]
+    fn fan_filter(&self, planes: &Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask {
+        let [x, y, z] = &rays.direction;
+        let (direction, near, far) = ([x[r], y[r], z[r]], rays.near[r], rays.far[r]);
+        match (planes, self.avx2) {
+            #[cfg(target_arch = "x86_64")]
+            (Planes::Avx2(planes), Some(avx2)) => avx2.fan_filter(planes, direction, near, far),
+            (Planes::Scalar(planes), _) => planes.filter(direction, near, far),
+            #[cfg(target_arch = "x86_64")]
+            (Planes::Avx2(_), None) => BlockMask { certain: 0, uncertain: 0xff },
+        }
     }
 
     /// By the best instructions that this processor has.

@@ -89,6 +89,20 @@ pub enum SurfaceError {
     /// A sharpness is negative or NaN.
     #[error("sharpness {0} is not a number of at least 0")]
     Sharpness(f32),
+    /// Named runs of faces leave a gap, overlap or go past the end.
+    #[error(
+        "object '{object}' has faces {faces:?}, expected them to start at {expected} and to end with the last of {count}"
+    )]
+    ObjectFaces {
+        /// Name of the run.
+        object: String,
+        /// Its faces.
+        faces: std::ops::Range<u32>,
+        /// Where it should start.
+        expected: u32,
+        /// Faces of the mesh.
+        count: u32,
+    },
     /// An option is out of its range.
     #[error("{name} is {value}, expected {expected}")]
     Option {

@@ -2,6 +2,7 @@
 #![deny(unsafe_code)]
 
 mod bucket;
+mod build;
 mod cache;
 mod cells;
 mod diagsplit;

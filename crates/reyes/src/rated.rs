@@ -10,11 +10,19 @@ use crate::{
     surface::{LimitPoint, SIZE},
 };
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
-use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality};
-use umbrage_geom::{MeshError, Ray, TriangleHit, TriangleMesh, glam::Vec3, mesh::MAX_ELEMENTS};
+use umbrage_accel::{BoxBvh, BoxFanVisitor, BoxVisitor, BuildQuality, FAN};
+use umbrage_geom::{
+    MeshError, MeshObject, Ray, TriangleHit, TriangleMesh,
+    glam::{Affine3A, Vec3},
+    kernel::fan::FanRays,
+    mesh::MAX_ELEMENTS,
+};
 
 /// Segments of an edge or middle line by which its length is measured.
 const SEGMENTS: usize = 2;
+
+/// Fewest rays of one origin that walk together.
+const SMALLEST_FAN: usize = 3;
 
 /// Boxes up to which the hierarchy is built with care.
 const CAREFUL: usize = 1 << 15;
@@ -86,6 +94,21 @@ impl RatedSurface {
         width: f32,
         max_level: u8,
     ) -> Result<Self, SurfaceError> {
+        Self::for_eye_on(surface, &[Affine3A::IDENTITY], eye, width, max_level)
+    }
+
+    /// [`Self::for_eye`] for a surface that stands in the eye's world at several places: each patch gets the finest rate that
+    /// any of them needs. Without places, rates are the coarsest.
+    ///
+    /// # Errors
+    /// As [`Self::for_eye`].
+    pub fn for_eye_on(
+        surface: Arc<Surface>,
+        world_from_object: &[Affine3A],
+        eye: Vec3,
+        width: f32,
+        max_level: u8,
+    ) -> Result<Self, SurfaceError> {
         if !(width > 0.0 && width.is_finite() && eye.is_finite()) {
             let value = width.into();
             return Err(SurfaceError::Option { name: "width", value, expected: "a positive number" });
@@ -95,7 +118,7 @@ impl RatedSurface {
             return Err(SurfaceError::Option { name: "max_level", value, expected: "0 to 12" });
         }
         let rates = Arc::clone(&surface);
-        Self::new(surface, |patch| rates.levels_for_eye(patch, eye, f64::from(width), max_level))
+        Self::new(surface, |patch| rates.levels_for_eye(patch, world_from_object, eye, width, max_level))
     }
 
     /// The surface.
@@ -128,6 +151,34 @@ impl RatedSurface {
         self.bvh.walk_unsorted(ray, &mut visitor).is_break()
     }
 
+    /// [`Self::any_hit`] of each ray; fastest for rays in a row that share their origin.
+    ///
+    /// # Panics
+    /// If there are not as many `hits` as `rays`.
+    pub fn any_hits(&self, rays: &[Ray], hits: &mut [bool]) {
+        assert_eq!(rays.len(), hits.len(), "one answer a ray");
+        let mut start = 0;
+        while let Some(first) = rays.get(start) {
+            let bits = |ray: &Ray, axis: usize| ray.origin[axis].to_bits() ^ first.origin[axis].to_bits();
+            let same = |ray: &&Ray| bits(ray, 0) | bits(ray, 1) | bits(ray, 2) == 0;
+            let end = start + rays[start..].iter().take(FAN).take_while(same).count();
+            let (fan, answers) = (&rays[start..end], &mut hits[start..end]);
+            let mut answered = 0;
+            if fan.len() >= SMALLEST_FAN {
+                let mut visitor =
+                    FanVisitor { surface: self, rays: fan, origin: first.origin.to_array(), hits: 0 };
+                answered = self.bvh.walk_fan(fan, &mut visitor);
+                for (r, hit) in answers.iter_mut().enumerate() {
+                    *hit = visitor.hits >> r & 1 == 1;
+                }
+            }
+            for r in (0..fan.len()).filter(|r| answered >> r & 1 == 0) {
+                answers[r] = self.any_hit(&fan[r]);
+            }
+            start = end;
+        }
+    }
+
     /// The hit with the smallest `t`; ties go to the first patch.
     pub fn closest_hit(&self, ray: &Ray) -> Option<RatedHit> {
         let mut visitor = Visitor::<false> { surface: self, ray: GridRay::new(ray)?, closest: None };
@@ -150,13 +201,22 @@ impl RatedSurface {
 
     /// All micropolygons as one mesh with the limit surface's normals and texture coordinates: vertices of the same bits are
     /// one, and cells that stitching collapsed are left out. Triangles of a face of the control mesh are together, in its
-    /// order.
+    /// order, and objects are those of its faces.
     pub fn to_mesh(&self) -> TriangleMesh {
         let mut mesh = TriangleMesh::default();
         let mut known: HashMap<[u32; 3], u32> = HashMap::new();
         let has_uvs = self.surface.uv(0, 0.0, 0.0).is_some();
+        let mut objects = self.surface.objects.iter().peekable();
         for patch in 0..self.levels.len() as u32 {
             let (cells, key) = (self.cells.patch(patch), key(&self.surface, &self.levels, patch));
+            let (face, start) = (self.surface.face_of(patch).0, mesh.triangles.len() as u32);
+            while let Some(next) = objects.next_if(|o| o.faces.start <= face) {
+                mesh.objects.push(MeshObject {
+                    name: next.name.clone(),
+                    triangles: start..start,
+                    opacity: 1.0,
+                });
+            }
             let columns = (1usize << key.levels[0]) + 1;
             let rows = (1usize << key.levels[1]) + 1;
             let mut indices = Vec::with_capacity(columns * rows);
@@ -186,6 +246,15 @@ impl RatedSurface {
                 }
             }
         }
+        let end = mesh.triangles.len() as u32;
+        // Those of no face at the end.
+        mesh.objects.extend(objects.map(|o| MeshObject {
+            name: o.name.clone(),
+            triangles: end..end,
+            opacity: 1.0,
+        }));
+        let ends = mesh.objects.iter().skip(1).map(|o| o.triangles.start).chain([end]).collect::<Vec<_>>();
+        mesh.objects.iter_mut().zip(ends).for_each(|(object, end)| object.triangles.end = end);
         mesh
     }
 
@@ -244,9 +313,35 @@ impl<const ANY: bool> BoxVisitor for Visitor<'_, ANY> {
     }
 }
 
+/// Looks for any hits of rays of one origin.
+struct FanVisitor<'a> {
+    surface: &'a RatedSurface,
+    rays: &'a [Ray],
+    origin: [f32; 3],
+    /// A bit each.
+    hits: u32,
+}
+
+impl BoxFanVisitor for FanVisitor<'_> {
+    #[inline(always)]
+    fn visit(&mut self, node: u32, rays: u32, fan: &FanRays<FAN>) -> u32 {
+        let hits = self.surface.cells.trace_fan(node, rays, fan, self.origin, self.rays);
+        self.hits |= hits;
+        hits
+    }
+}
+
 impl Surface {
-    /// Levels at which the edges of micropolygons are about as long as `width` times their distance from `eye`.
-    fn levels_for_eye(&self, patch: u32, eye: Vec3, width: f64, max_level: u8) -> [u8; 2] {
+    /// Levels at which the edges of micropolygons are about as long as `width` times their distance from `eye`, or shorter,
+    /// wherever the surface stands.
+    fn levels_for_eye(
+        &self,
+        patch: u32,
+        places: &[Affine3A],
+        eye: Vec3,
+        width: f32,
+        max_level: u8,
+    ) -> [u8; 2] {
         const LINE: usize = SEGMENTS + 1;
         let least = self.least_level(patch);
         let most = max_level.max(least);
@@ -254,25 +349,28 @@ impl Surface {
         let step = SIZE / SEGMENTS as u32;
         let lattice = Lattice { u0: 0, v0: 0, step_u: step, step_v: step, stride: LINE };
         self.patches[patch as usize].root.fill(SIZE, &lattice, [LINE; 2], &mut points, &self.context);
-        let eye = eye.as_dvec3();
+        let (eye, width) = (eye.as_dvec3(), f64::from(width));
         let mut levels = [least; 2];
-        for (axis, line) in (0..2).flat_map(|axis| (0..LINE).map(move |line| (axis, line))) {
-            let point = |i: usize| {
-                let [u, v] = if axis == 0 { [i, line] } else { [line, i] };
-                points[v * LINE + u].as_dvec3()
-            };
-            let mut before = point(0);
-            let (mut longest, mut nearest) = (0f64, before.distance(eye));
-            for i in 1..LINE {
-                let next = point(i);
-                longest = longest.max(next.distance(before));
-                nearest = nearest.min(next.distance(eye));
-                before = next;
+        for world_from_object in places {
+            let placed = points.map(|p| world_from_object.transform_point3(p).as_dvec3());
+            for (axis, line) in (0..2).flat_map(|axis| (0..LINE).map(move |line| (axis, line))) {
+                let point = |i: usize| {
+                    let [u, v] = if axis == 0 { [i, line] } else { [line, i] };
+                    placed[v * LINE + u]
+                };
+                let mut before = point(0);
+                let (mut longest, mut nearest) = (0f64, before.distance(eye));
+                for i in 1..LINE {
+                    let next = point(i);
+                    longest = longest.max(next.distance(before));
+                    nearest = nearest.min(next.distance(eye));
+                    before = next;
+                }
+                // To the nearest power of two.
+                let length = longest * SEGMENTS as f64 * std::f64::consts::FRAC_1_SQRT_2;
+                let fits = |&l: &u8| length * cell(l) <= nearest * width;
+                levels[axis] = levels[axis].max((least..most).find(fits).unwrap_or(most));
             }
-            // To the nearest power of two.
-            let length = longest * SEGMENTS as f64 * std::f64::consts::FRAC_1_SQRT_2;
-            let fits = |&l: &u8| length * cell(l) <= nearest * width;
-            levels[axis] = levels[axis].max((least..most).find(fits).unwrap_or(most));
         }
         levels
     }

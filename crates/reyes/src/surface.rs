@@ -2,18 +2,16 @@
 
 use crate::{
     SurfaceError,
+    build::{Builder, check_objects, uv_control},
     kernel::Kernel,
     length::Lengths,
-    patch::{Kind, Lattice, Node, Ring, TreeContext},
+    patch::{Kind, Lattice, Node, TreeContext},
     subdiv::{BoundaryRule, CreaseMethod, NONE, SubdivisionMesh},
 };
-use std::{
-    collections::HashMap,
-    sync::{OnceLock, atomic::Ordering::Relaxed},
-};
+use std::sync::{OnceLock, atomic::Ordering::Relaxed};
 use umbrage_accel::BackEnd;
 use umbrage_geom::{
-    Aabb, PolygonMesh,
+    Aabb, FaceObject, PolygonMesh,
     glam::{DVec3, Vec2, Vec3},
 };
 
@@ -160,7 +158,7 @@ pub(crate) struct Patch {
     pub(crate) lengths: Lengths,
     pub(crate) bounds: Aabb,
     /// See [`Surface::edge_points`].
-    edge_points: [OnceLock<Box<[Vec3; 5]>>; 4],
+    pub(crate) edge_points: [OnceLock<Box<[Vec3; 5]>>; 4],
 }
 
 /// Numbers of Reyes operations done on a surface (Djeu 2011, section 5.4); see also [`crate::TraceCounts`].
@@ -180,6 +178,8 @@ pub struct Surface {
     pub(crate) patches: Vec<Patch>,
     corner_limits: Vec<Vec3>,
     pub(crate) context: TreeContext,
+    /// Named runs of faces, checked.
+    pub(crate) objects: Vec<FaceObject>,
     uvs: Option<Box<Surface>>,
     bounds: Aabb,
 }
@@ -207,6 +207,7 @@ impl Surface {
             return Err(SurfaceError::Option { name: "tight_levels", value, expected: "0 to 6" });
         }
         let mesh = SubdivisionMesh::new(control, options.boundary, options.creases)?;
+        check_objects(control)?;
         let mut surface = Self::from_mesh(&mesh, options);
         if !control.corner_uvs.is_empty() {
             let uv_options = SurfaceOptions {
@@ -218,6 +219,7 @@ impl Surface {
             let uv_mesh = SubdivisionMesh::new(&uv_control(control)?, uv_options.boundary, options.creases)?;
             surface.uvs = Some(Box::new(Self::from_mesh(&uv_mesh, &uv_options)));
         }
+        surface.objects.clone_from(&control.objects);
         Ok(surface)
     }
 
@@ -238,7 +240,7 @@ impl Surface {
             patch.bounds = patch.root.tight_bounds(options.tight_levels, &context);
             bounds = bounds.union(patch.bounds);
         }
-        Self { patches, corner_limits, context, uvs: None, bounds }
+        Self { patches, corner_limits, context, objects: Vec::new(), uvs: None, bounds }
     }
 
     /// Number of patches.
@@ -403,208 +405,4 @@ impl Surface {
         }
         row
     }
-}
-
-/// The control mesh of the texture: one vertex for each different coordinate of a vertex.
-fn uv_control(control: &PolygonMesh) -> Result<PolygonMesh, SurfaceError> {
-    let expected = control.corners.len();
-    if control.corner_uvs.len() != expected {
-        return Err(SurfaceError::UvCount { count: control.corner_uvs.len(), expected });
-    }
-    let mut uv = PolygonMesh { face_sizes: control.face_sizes.clone(), ..PolygonMesh::default() };
-    let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
-    for (corner, (&v, &[x, y])) in control.corners.iter().zip(&control.corner_uvs).enumerate() {
-        if !x.is_finite() || !y.is_finite() {
-            return Err(SurfaceError::UvNotFinite { corner });
-        }
-        // Adding 0 makes one of both zeros.
-        let index = *known.entry((v, [x + 0.0, y + 0.0].map(f32::to_bits))).or_insert_with(|| {
-            uv.positions.push([x, y, 0.0]);
-            uv.positions.len() as u32 - 1
-        });
-        uv.corners.push(index);
-    }
-    let creases: HashMap<[u32; 2], f32> =
-        control.creases.iter().flat_map(|&([a, b], s)| [([a, b], s), ([b, a], s)]).collect();
-    let sharp: HashMap<u32, f32> = control.sharp_vertices.iter().copied().collect();
-    let mut start = 0;
-    for face in control.faces() {
-        for i in 0..face.len() {
-            let next = (i + 1) % face.len();
-            if let Some(&s) = creases.get(&[face[i], face[next]]) {
-                uv.creases.push(([uv.corners[start + i], uv.corners[start + next]], s));
-            }
-            if let Some(&s) = sharp.get(&face[i]) {
-                uv.sharp_vertices.push((uv.corners[start + i], s));
-            }
-        }
-        start += face.len();
-    }
-    Ok(uv)
-}
-
-/// Makes patches from a mesh and its first refinement.
-struct Builder<'a> {
-    mesh: &'a SubdivisionMesh,
-    /// One level further, if the mesh has other faces than quadrilaterals.
-    fine: Option<SubdivisionMesh>,
-    /// First patch of each face.
-    first: Vec<u32>,
-    context: &'a TreeContext,
-}
-
-impl<'a> Builder<'a> {
-    fn new(mesh: &'a SubdivisionMesh, context: &'a TreeContext) -> Self {
-        let mut first = Vec::with_capacity(mesh.face_count());
-        let mut count = 0;
-        for face in 0..mesh.face_count() {
-            first.push(count);
-            let size = mesh.face(face).len() as u32;
-            count += if size == 4 { 1 } else { size };
-        }
-        let fine = (count as usize != mesh.face_count()).then(|| mesh.refine());
-        Self { mesh, fine, first, context }
-    }
-
-    fn is_quad(&self, face: usize) -> bool {
-        self.mesh.face(face).len() == 4
-    }
-
-    fn build(&self) -> (Vec<Patch>, Vec<Vec3>) {
-        let positions = self.fine.as_ref().unwrap_or(self.mesh).positions.len();
-        let mut limits = vec![Vec3::NAN; positions];
-        let mut patches = Vec::new();
-        for face in 0..self.mesh.face_count() {
-            let start = self.mesh.face(face).start;
-            if self.is_quad(face) {
-                let corners = [0, 1, 2, 3].map(|k| self.mesh.corners[(start + k) as usize]);
-                let links = [0, 1, 2, 3].map(|k| self.quad_links(start + k));
-                let root = self.quad_root(face, &corners, &mut limits);
-                patches.push(self.patch(root, face, None, corners, links));
-                continue;
-            }
-            let Some(fine) = &self.fine else { continue };
-            for h in self.mesh.face(face) {
-                let ring = fine_ring(fine, h, 0);
-                let corners = [0, 1, 2, 3].map(|k| fine.corners[(4 * h + k) as usize]);
-                self.set_limits(&ring, &corners, &mut limits);
-                let root = Node::from_ring(ring, self.context);
-                let links = self.part_links(h);
-                patches.push(self.patch(root, face, Some(h - start), corners, links));
-            }
-        }
-        (patches, limits)
-    }
-
-    fn patch(
-        &self,
-        root: Node,
-        face: usize,
-        part: Option<u32>,
-        corners: [u32; 4],
-        links: [[Link; 2]; 4],
-    ) -> Patch {
-        let bounds = root.bounds;
-        let lengths = Lengths::new(matches!(root.kind, Kind::Regular(_)));
-        Patch {
-            root,
-            face: face as u32,
-            part,
-            corners,
-            links,
-            lengths,
-            bounds,
-            edge_points: Default::default(),
-        }
-    }
-
-    fn set_limits(&self, ring: &Ring, corners: &[u32; 4], limits: &mut [Vec3]) {
-        for k in 0..4 {
-            let limit = &mut limits[corners[k] as usize];
-            if limit.is_nan() {
-                *limit = ring.limit(k, self.context.method).as_vec3();
-            }
-        }
-    }
-
-    fn quad_root(&self, face: usize, corners: &[u32; 4], limits: &mut [Vec3]) -> Node {
-        let start = self.mesh.face(face).start;
-        match &self.fine {
-            Some(fine) if !self.mesh.has_quad_ring(face) => {
-                let rings = [0, 1, 2, 3].map(|k| fine_ring(fine, start + k, k as usize));
-                for k in 0..4 {
-                    let limit = &mut limits[corners[k] as usize];
-                    if limit.is_nan() {
-                        *limit = rings[k].limit(k, self.context.method).as_vec3();
-                    }
-                }
-                Node::forked(rings.map(|ring| Node::from_ring(ring, self.context)))
-            }
-            _ => {
-                let ring = ring(self.mesh, [0, 1, 2, 3].map(|k| start + k));
-                self.set_limits(&ring, corners, limits);
-                Node::from_ring(ring, self.context)
-            }
-        }
-    }
-
-    /// The part of its face that corner `h` belongs to, a patch.
-    fn part(&self, h: u32) -> u32 {
-        let face = self.mesh.face_of(h);
-        self.first[face] + (h - self.mesh.face(face).start)
-    }
-
-    /// Neighbours of the edge `h` of a quadrilateral.
-    fn quad_links(&self, h: u32) -> [Link; 2] {
-        let twin = self.mesh.twins[h as usize];
-        if twin == NONE {
-            return [Link { patch: NONE, edge: 0, meeting: Meeting::Whole }; 2];
-        }
-        let face = self.mesh.face_of(twin);
-        if self.is_quad(face) {
-            let edge = (twin - self.mesh.face(face).start) as u8;
-            return [Link { patch: self.first[face], edge, meeting: Meeting::Whole }; 2];
-        }
-        let meeting = Meeting::OtherIsHalf;
-        [
-            Link { patch: self.part(self.mesh.next(twin)), edge: 3, meeting },
-            Link { patch: self.part(twin), edge: 0, meeting },
-        ]
-    }
-
-    /// Neighbours of the part of a face at its corner `h`: edges 0 and 3 are halves of edges of the face.
-    fn part_links(&self, h: u32) -> [[Link; 2]; 4] {
-        let (next, previous) = (self.mesh.next(h), self.mesh.previous(h));
-        let inner = |h: u32, edge: u8| [Link { patch: self.part(h), edge, meeting: Meeting::Whole }; 2];
-        // The half of edge `h` at its start (`upper` of the twin), or at its end.
-        let outer = |h: u32, at_start: bool| {
-            let twin = self.mesh.twins[h as usize];
-            if twin == NONE {
-                return [Link { patch: NONE, edge: 0, meeting: Meeting::Whole }; 2];
-            }
-            let face = self.mesh.face_of(twin);
-            let link = if self.is_quad(face) {
-                let edge = (twin - self.mesh.face(face).start) as u8;
-                Link { patch: self.first[face], edge, meeting: Meeting::OwnIsHalf { upper: at_start } }
-            } else if at_start {
-                Link { patch: self.part(self.mesh.next(twin)), edge: 3, meeting: Meeting::Whole }
-            } else {
-                Link { patch: self.part(twin), edge: 0, meeting: Meeting::Whole }
-            };
-            [link; 2]
-        };
-        [outer(h, true), inner(next, 2), inner(previous, 1), outer(previous, false)]
-    }
-}
-
-/// The ring of a face with the given corners.
-fn ring(mesh: &SubdivisionMesh, corners: [u32; 4]) -> Ring {
-    let fans = corners.map(|h| mesh.fan(h));
-    let own = [0, 1, 2, 3].map(|k| fans[k].1);
-    Ring { fans: fans.map(|(fan, _)| fan), own }
-}
-
-/// The ring of face `face` of a refined mesh, its first corner as corner `turn`.
-fn fine_ring(fine: &SubdivisionMesh, face: u32, turn: usize) -> Ring {
-    ring(fine, [0, 1, 2, 3].map(|k| 4 * face + ((k + 4 - turn) % 4) as u32))
 }

@@ -2,9 +2,13 @@
 
 mod common;
 
-use common::{cube, prism, sheet, spindle};
-use umbrage_geom::{MeshError, PolygonMesh, glam::Vec3};
-use umbrage_reyes::{BoundaryRule, Surface, SurfaceError, SurfaceOptions};
+use common::{cube, prism, sheet, spindle, zoo};
+use std::sync::Arc;
+use umbrage_geom::{FaceObject, MeshError, PolygonMesh, Ray, glam::Vec3};
+use umbrage_reyes::{
+    BoundaryRule, FootprintRule, RatedSurface, Surface, SurfaceError, SurfaceOptions, SurfaceTracer,
+    TraceOptions, TraceState, camera_differential,
+};
 
 fn build(mesh: &PolygonMesh) -> Result<Surface, SurfaceError> {
     Surface::build(mesh, &SurfaceOptions::default())
@@ -50,6 +54,12 @@ fn bad_meshes_are_named() {
         m.corner_uvs[7][1] = f32::NAN;
     });
     assert_eq!(nan, SurfaceError::UvNotFinite { corner: 7 });
+    // Runs of faces with a gap, an overlap, too many and too few.
+    for runs in [[0..2, 3..6], [0..3, 2..6], [0..3, 3..7], [0..3, 3..5]] {
+        let objects = runs.map(|faces| FaceObject { name: "part".into(), faces }).to_vec();
+        let error = with(&|m| m.objects.clone_from(&objects));
+        assert!(matches!(error, SurfaceError::ObjectFaces { count: 6, .. }), "{error}");
+    }
     let options = SurfaceOptions::default().with_tight_levels(7);
     assert!(matches!(
         Surface::build(&cube(), &options),
@@ -77,6 +87,45 @@ fn check(name: &str, mesh: &PolygonMesh) {
     let (triangles, patches) = surface.tessellate(|patch| [(patch % 4) as u8, (patch % 3) as u8]).unwrap();
     assert_eq!(triangles.triangles.len(), patches.len());
     assert!(triangles.positions.iter().all(|&p| Vec3::from(p).is_finite()));
+    check_rays(name, surface);
+}
+
+/// Rays through the middle end, by every rule, with footprints of no size and with none that are numbers, and what they hit is
+/// where they say.
+fn check_rays(name: &str, surface: Surface) {
+    let surface = Arc::new(surface);
+    let bounds = surface.bounds();
+    let rules = [FootprintRule::Entry, FootprintRule::ExactFinalApproach, FootprintRule::DiagSplit];
+    let rays: Vec<Ray> = (0..6u32)
+        .map(|i| {
+            let side = bounds.diagonal().max(1.0) * if i % 2 == 0 { 1.0 } else { -1.0 };
+            let direction = Vec3::AXES[i as usize / 2] * side + Vec3::splat(0.01 * side);
+            Ray::new(bounds.center() - direction, direction)
+        })
+        .collect();
+    for rule in rules {
+        let options = TraceOptions::default().with_footprint(rule).with_max_level(4).with_cache_bytes(20_000);
+        let tracer = SurfaceTracer::new(Arc::clone(&surface), &options).unwrap();
+        let mut state = TraceState::new(&options);
+        for ray in &rays {
+            for width in [0.0, f32::NAN, 0.3 * bounds.diagonal()] {
+                let d = camera_differential(Vec3::X * width, Vec3::Y * width);
+                let hit = tracer.closest_hit(ray, &d, &mut state);
+                assert_eq!(tracer.any_hit(ray, &d, &mut state), hit.is_some(), "{name}, {rule:?}");
+                let Some(hit) = hit else { continue };
+                let p = ray.at(hit.t);
+                let room = 1e-5 * (bounds.diagonal() + p.abs().max_element());
+                assert!(p.cmpge(bounds.min - room).all() && p.cmple(bounds.max + room).all(), "{name}");
+            }
+        }
+        assert!(tracer.peak_grid_bytes() <= 20_000);
+    }
+    let rated = RatedSurface::new(surface, |patch| [(patch % 3) as u8, 2]).unwrap();
+    for ray in &rays {
+        assert_eq!(rated.any_hit(ray), rated.closest_hit(ray).is_some(), "{name}");
+    }
+    let mesh = rated.to_mesh();
+    assert!(mesh.triangles.is_empty() || mesh.validate().is_ok(), "{name}");
 }
 
 #[test]
@@ -108,6 +157,14 @@ fn strange_meshes_have_answers() {
     bow.face_sizes.extend(&other.face_sizes);
     bow.corners.extend(other.corners.iter().map(|&v| if v == 0 { 7 } else { v + 8 }));
     check("two fans at a vertex", &bow);
+    let mut slit = cube();
+    // An edge cut open: a vertex of valence 2 at each end, two boundary edges in one place.
+    slit.positions.extend([slit.positions[0], slit.positions[1]]);
+    for corner in &mut slit.corners[12..16] {
+        *corner = [8, 9, *corner, *corner][(*corner).min(2) as usize];
+    }
+    check("slit", &slit);
+    check("holes", &zoo().swap_remove(3).1);
     let mut sharp = cube();
     sharp.creases = vec![([0, 1], f32::INFINITY), ([1, 3], 1e30), ([0, 2], 9.99)];
     sharp.sharp_vertices = vec![(7, f32::INFINITY), (6, 0.0)];

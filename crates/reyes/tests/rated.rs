@@ -2,12 +2,12 @@
 
 mod common;
 
-use common::{cube, sheet, zoo};
+use common::{cube, prism, sheet, zoo};
 use std::{collections::HashMap, sync::Arc};
 use umbrage_accel::{BackEnd, BuildOptions, Bvh};
 use umbrage_geom::{
-    PolygonMesh, Ray, TriangleMesh,
-    glam::Vec3,
+    FaceObject, PolygonMesh, Ray, TriangleMesh,
+    glam::{Affine3A, Quat, Vec3},
     sampling::{hash, sobol_4d, unit},
 };
 use umbrage_reyes::{RatedSurface, Surface, SurfaceError, SurfaceOptions};
@@ -60,6 +60,37 @@ fn rays_agree_with_the_triangles() {
             }
             assert!(hits > 30, "{name}, {most}: {hits}");
         }
+    }
+}
+
+/// Rays in batches have the answers of single rays: shared origins, others between them, rays that no fan takes.
+#[test]
+fn batches_have_the_answers_of_single_rays() {
+    for (name, mesh) in zoo() {
+        let rated = wild(&mesh, 5);
+        let all: Vec<Ray> = rays(rated.surface()).collect();
+        let mut batch = Vec::new();
+        for (i, ray) in all.iter().enumerate() {
+            // Runs of 0 to 40 rays from one point.
+            let point = all[i / 40 * 40].origin;
+            let own = hash(i as u32 / 40).is_multiple_of(4) && i.is_multiple_of(3);
+            batch.push(if own { *ray } else { Ray { origin: point, ..*ray } });
+            if i % 50 == 7 {
+                batch.push(Ray { origin: point, direction: Vec3::splat(1e-30), ..*ray });
+                batch.push(Ray { origin: point, direction: Vec3::NAN, ..*ray });
+                // From the surface itself.
+                let patch = i as u32 % rated.surface().patch_count() as u32;
+                let on = rated.surface().limit(patch, 0.5, 0.25).position;
+                batch.extend([-0.1, 0.0, 0.1].map(|x| Ray::between(on, point + x)));
+            }
+        }
+        let mut hits = vec![false; batch.len()];
+        rated.any_hits(&batch, &mut hits);
+        for (ray, hit) in batch.iter().zip(&hits) {
+            assert_eq!(*hit, rated.any_hit(ray), "{name}: {ray:?}");
+        }
+        assert!(hits.contains(&true) && hits.contains(&false));
+        rated.any_hits(&[], &mut []);
     }
 }
 
@@ -130,6 +161,37 @@ fn meshes_carry_normals_and_texture() {
     assert!(mesh.validate().is_ok());
     assert!(mesh.corner_uvs.as_flattened().as_flattened().iter().all(|&x| (-1e-6..=3.000_001).contains(&x)));
     assert!(mesh.corner_normals.as_flattened().iter().all(|&n| (Vec3::from(n).length() - 1.0).abs() < 1e-5));
+}
+
+/// Objects are those of the control mesh, also where their faces have no area, and surfaces that stand at several places are as
+/// fine as the nearest asks.
+#[test]
+fn meshes_carry_objects_and_rates_of_all_places() {
+    let mut control = prism(5);
+    let runs = [("bottom", 0..1), ("none", 1..1), ("top", 1..2), ("side", 2..7)];
+    control.objects = runs.map(|(name, faces)| FaceObject { name: name.into(), faces }).to_vec();
+    let mesh = RatedSurface::new(surface(&control), |_| [2, 2]).unwrap().to_mesh();
+    mesh.validate().unwrap();
+    let objects: Vec<_> = mesh.objects.iter().map(|o| (&o.name[..], o.triangles.len())).collect();
+    // Parts of the pentagons lose two cells' halves at each outer edge, which is as coarse as the side's.
+    assert_eq!(objects, [("bottom", 5 * 28), ("none", 0), ("top", 5 * 28), ("side", 5 * 32)]);
+    control.positions.fill([1.0; 3]);
+    let none = RatedSurface::new(surface(&control), |_| [1, 1]).unwrap().to_mesh();
+    assert_eq!((none.triangles.len(), none.objects.len()), (0, 4));
+
+    let place = |x: f32, scale: f32| {
+        Affine3A::from_scale_rotation_translation(Vec3::splat(scale), Quat::IDENTITY, Vec3::X * x)
+    };
+    let levels = |places: &[Affine3A]| {
+        let rated = RatedSurface::for_eye_on(surface(&cube()), places, Vec3::X * 10.0, 0.02, 9).unwrap();
+        (0..6).map(|patch| rated.levels(patch)).collect::<Vec<_>>()
+    };
+    let (near, far, large) = (levels(&[place(7.0, 1.0)]), levels(&[place(-90.0, 1.0)]), place(-90.0, 10.0));
+    assert_eq!(levels(&[place(-90.0, 1.0), place(7.0, 1.0)]), near);
+    // Ten times as large at ten times the distance.
+    assert_eq!(levels(&[large]), levels(&[place(0.0, 1.0)]));
+    assert!(near.iter().zip(&far).all(|(n, f)| n[0] > f[0] + 2), "{near:?} {far:?}");
+    assert_eq!(levels(&[]), [[0, 0]; 6]);
 }
 
 #[test]

@@ -252,6 +252,8 @@ fn strange_footprints_and_rays_have_defined_answers() {
         let error = SurfaceTracer::new(surface(), &options.with_edge(edge)).err();
         assert!(matches!(error, Some(SurfaceError::Option { name: "edge", .. })));
     }
+    let error = SurfaceTracer::new(surface(), &options.with_occluder_cells(513)).err();
+    assert!(matches!(error, Some(SurfaceError::Option { name: "occluder_cells", .. })));
     let error = SurfaceTracer::new(surface(), &options.with_max_level(13)).err();
     assert!(matches!(error, Some(SurfaceError::Option { name: "max_level", .. })));
 }
@@ -320,6 +322,34 @@ proptest! {
                 let longest = surface.longest_edge(patch, levels).unwrap();
                 prop_assert!(longest <= width * 1.00001, "{} > {} at {:?}", longest, width, levels);
             }
+        }
+    }
+
+    /// Final approach is never finer than entry, and exact final approach meets the threshold where the ray does meet the
+    /// surface, as entry does.
+    #[test]
+    fn final_approach_is_between_entry_and_the_hit((ray, differential) in footprints(), which in 0usize..8) {
+        let (_, mesh) = zoo().swap_remove(which);
+        let rules = [FootprintRule::Entry, FootprintRule::FinalApproach, FootprintRule::ExactFinalApproach];
+        let tracers = rules.map(|rule| {
+            tracer(&mesh, &TraceOptions::published(rule).with_max_level(7))
+        });
+        let surface = tracers[0].surface();
+        for patch in 0..surface.patch_count() as u32 {
+            let [entry, approach, exact] = [0, 1, 2].map(|i| tracers[i].levels(patch, &ray, &differential));
+            prop_assert_eq!(entry.is_some(), approach.is_some());
+            let (Some(entry), Some(approach), Some(exact)) = (entry, approach, exact) else { continue };
+            prop_assert!(approach <= entry && exact <= entry, "{:?} {:?} {:?}", entry, approach, exact);
+        }
+        for tracer in [&tracers[0], &tracers[2]] {
+            let mut state = TraceState::new(tracer.options());
+            let Some(hit) = tracer.closest_hit(&ray, &differential, &mut state) else { continue };
+            if hit.levels[0] == 7 {
+                continue;
+            }
+            let width = differential.footprint(hit.t).map(|edge| edge.as_dvec3().length());
+            let longest = tracer.surface().longest_edge(hit.patch, hit.levels).unwrap();
+            prop_assert!(longest <= width[0].min(width[1]) * 1.00001, "{} > {:?}", longest, width);
         }
     }
 }

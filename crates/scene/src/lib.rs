@@ -15,6 +15,9 @@ pub use mesh_file::{
     MeshFileError, PlyVertices, Points, VertexAttributes, WriteMeshError, read_mesh, read_ply_vertices,
     read_points, read_polygons, write_obj, write_ply, write_ply_points,
 };
-pub use scene::{Ambient, Camera, Instance, Light, Material, NamedMesh, Radius, Scene, Settings};
+pub use scene::{
+    Ambient, Camera, Instance, Light, Material, NamedMesh, Radius, Scene, Settings, Subdivision,
+    SubdivisionRate,
+};
 pub use scene_file::SceneError;
 pub use view::Ground;

@@ -1,6 +1,6 @@
 //! What a scene is, once read: plain data that the renderer turns into acceleration structures.
 
-use umbrage_geom::{Falloff, TriangleMesh, glam::Affine3A};
+use umbrage_geom::{BoundaryRule, CreaseMethod, Falloff, PolygonMesh, TriangleMesh, glam::Affine3A};
 
 /// A scene: geometry, lights, a camera and settings.
 #[derive(Clone, Debug)]
@@ -30,6 +30,53 @@ pub struct NamedMesh {
     pub name: String,
     /// The triangles, validated.
     pub mesh: TriangleMesh,
+    /// The surface whose control mesh's polygons [`Self::mesh`] holds, until a renderer puts micropolygons in their place
+    /// and takes this away.
+    pub subdivision: Option<Subdivision>,
+}
+
+impl NamedMesh {
+    /// A mesh that is shown as it is.
+    pub fn new(name: impl Into<String>, mesh: TriangleMesh) -> Self {
+        Self { name: name.into(), mesh, subdivision: None }
+    }
+}
+
+/// A Catmull-Clark surface, and how finely it is divided.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Subdivision {
+    /// The control mesh.
+    pub control: PolygonMesh,
+    /// How finely.
+    pub rate: SubdivisionRate,
+    /// What happens at the boundary of an open mesh.
+    pub boundary: BoundaryRule,
+    /// How sharpness decays.
+    pub creases: CreaseMethod,
+}
+
+impl Subdivision {
+    /// The surface of a control mesh at a rate.
+    pub fn new(control: PolygonMesh, rate: SubdivisionRate) -> Self {
+        Self { control, rate, ..Self::default() }
+    }
+}
+
+/// How finely a surface is divided.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SubdivisionRate {
+    /// Edges of micropolygons are about so many pixels long as the scene's camera sees them, above 0.
+    Pixels(f32),
+    /// Every face of four corners in `2^level` by `2^level` cells, at most 12; other faces are one such quadrilateral a
+    /// corner.
+    Level(u8),
+}
+
+impl Default for SubdivisionRate {
+    fn default() -> Self {
+        Self::Pixels(1.0)
+    }
 }
 
 /// A mesh placed in the world.

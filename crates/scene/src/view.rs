@@ -84,10 +84,10 @@ impl Scene {
         let center = bounds.center();
         let size = if bounds.diagonal() > 0.0 { bounds.diagonal() } else { 1.0 };
         let objects = mesh.objects_or_whole().len();
-        let mut meshes = vec![NamedMesh { name: name.into(), mesh }];
+        let mut meshes = vec![NamedMesh::new(name, mesh)];
         if ground == Ground::Plane {
             let name = if name == "ground" { "ground plane" } else { "ground" };
-            meshes.push(NamedMesh { name: name.into(), mesh: ground_plane(bounds, size)? });
+            meshes.push(NamedMesh::new(name, ground_plane(bounds, size)?));
         }
         let instances = meshes
             .iter()

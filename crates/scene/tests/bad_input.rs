@@ -426,6 +426,47 @@ fn scenes() {
             "scene:16:8: mesh 'ball': file can't be used: no.obj: cannot read it: No such file or directory (os error 2)",
         ),
         (
+            "triangles = 200",
+            "subdivide = 1",
+            "scene:17:13: mesh 'ball': subdivide needs a generator of control meshes",
+        ),
+        ("triangles = 200", "subdivide = 0", "scene:17:13: mesh 'ball': subdivide must be above 0, not 0"),
+        (
+            "triangles = 200",
+            "subdivide = true",
+            "scene:17:13: mesh 'ball': subdivide must be a length in pixels or a table, not true",
+        ),
+        (
+            "triangles = 200",
+            "subdivide = { level = 13 }",
+            "scene:17:23: subdivide: level must be a whole number from 0 to 12, not 13",
+        ),
+        (
+            "triangles = 200",
+            "subdivide = { level = 3, pixels = 1 }",
+            "scene:17:13: subdivide: takes 'pixels' or 'level', not both",
+        ),
+        (
+            "triangles = 200",
+            "subdivide = { boundary = \"round\" }",
+            "scene:17:26: subdivide: boundary must be 'edge-only' or 'edge-and-corner', not \"round\"",
+        ),
+        (
+            "triangles = 200",
+            "subdivide = { creases = \"sharp\" }",
+            "scene:17:25: subdivide: creases must be 'uniform' or 'chaikin', not \"sharp\"",
+        ),
+        (
+            "triangles = 200",
+            "subdivide = { rate = 2 }",
+            "scene:17:15: subdivide: unknown key 'rate', expected one of boundary, creases, level, pixels",
+        ),
+        (
+            "generator = \"sphere\"\ntriangles = 200",
+            "file = \"no.ply\"\nsubdivide = 1",
+            "scene:16:8: mesh 'ball': file can't be used: no.ply: unknown extension, expected .obj",
+        ),
+        (
             "mesh = \"ball\"",
             "mesh = \"bal\"",
             "scene:19:8: object 1: mesh 'bal' is not one of the meshes (ball)",

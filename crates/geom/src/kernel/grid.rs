@@ -1,6 +1,6 @@
 //! Blocks of regular grids: eight boxes as small numbers, and the eight triangles of 2 x 2 cells.
 
-use super::{LANES, Lanes};
+use super::{LANES, Lanes, fan::FanRays};
 use crate::{Aabb, SlabRay};
 
 /// Boxes of up to eight children, rounded outwards to 256 planes along each axis.
@@ -78,6 +78,29 @@ impl BoxBlock {
         }
         mask
     }
+
+    /// For each child those of `rays` of a fan from `origin` that may enter it, a bit each; of no meaning where there is no
+    /// child.
+    #[inline]
+    pub fn columns<const N: usize>(&self, origin: [f32; 3], fan: &FanRays<N>, rays: u32) -> [u32; LANES] {
+        let mut columns = [0; LANES];
+        for (child, column) in columns.iter_mut().enumerate() {
+            for r in (0..N).filter(|r| rays >> r & 1 == 1) {
+                let (mut entry, mut exit) = (fan.slab_near[r], fan.slab_far[r]);
+                for (axis, origin) in origin.iter().enumerate() {
+                    let row = 2 * axis + (fan.negative[axis][r] as usize & 1);
+                    let relative = |row: usize| self.plane(axis, self.planes[row][child]) - origin;
+                    // The comparisons are false for NaN, which drops it.
+                    let (near, far) =
+                        (relative(row) * fan.inv_near[axis][r], relative(row ^ 1) * fan.inv_far[axis][r]);
+                    entry = if near > entry { near } else { entry };
+                    exit = if far < exit { far } else { exit };
+                }
+                *column |= u32::from(entry <= exit) << r;
+            }
+        }
+        columns
+    }
 }
 
 /// The triangles of 2 x 2 cells over 3 x 3 vertices: two a cell along the diagonal from its first corner, cells row by row.
@@ -143,7 +166,11 @@ mod tests {
     use super::*;
     use crate::{
         Ray,
-        kernel::{BlockRay, TriangleLanes, scalar},
+        kernel::{
+            BlockMask, BlockRay, TriangleLanes,
+            fan::{self, CHUNK},
+            scalar,
+        },
     };
     use proptest::prelude::*;
 
@@ -191,6 +218,20 @@ mod tests {
                 let used = (1u32 << boxes.len()) - 1;
                 prop_assert_eq!(avx2.entered(&block, &slab) & used, mask & used);
             }
+            let mut fan = FanRays::<CHUNK>::default();
+            if fan.prepare(0, &[ray; 3]) == 0 {
+                return Ok(());
+            }
+            let columns = block.columns(ray.origin.to_array(), &fan, 0b101);
+            for (b, column) in boxes.iter().zip(columns) {
+                prop_assert!([0, 0b101].contains(&column));
+                prop_assert!(column != 0 || !slab.surely_crosses(b));
+            }
+            #[cfg(target_arch = "x86_64")]
+            if let Some(avx2) = crate::kernel::x86::Avx2::detect() {
+                let same = avx2.columns(&block, ray.origin.to_array(), &fan, 0b101);
+                prop_assert_eq!(&same[..boxes.len()], &columns[..boxes.len()]);
+            }
         }
 
         #[test]
@@ -210,6 +251,24 @@ mod tests {
             #[cfg(target_arch = "x86_64")]
             if let Some(avx2) = crate::kernel::x86::Avx2::detect() {
                 prop_assert_eq!(avx2.filter(&cells, &prepared), avx2.filter(&lanes, &prepared));
+            }
+            let mut rays = FanRays::<CHUNK>::default();
+            if rays.prepare(0, &[ray]) == 0 {
+                return Ok(());
+            }
+            let (origin, d) = (ray.origin.to_array(), rays.direction.map(|row| row[0]));
+            let check = |mask: BlockMask| {
+                prop_assert_eq!((mask.certain | mask.uncertain) & !used, 0);
+                for lane in (0..LANES).filter(|lane| (used & !mask.uncertain) >> lane & 1 == 1) {
+                    let truth = crate::segment_hits_triangle(&ray, cells.triangle(lane));
+                    prop_assert_eq!(mask.certain >> lane & 1 == 1, truth, "lane {}", lane);
+                }
+                Ok(())
+            };
+            check(fan::scalar::Planes::new(&cells, origin).filter(d, rays.near[0], rays.far[0]))?;
+            #[cfg(target_arch = "x86_64")]
+            if let Some(avx2) = crate::kernel::x86::Avx2::detect() {
+                check(avx2.fan_filter(&avx2.planes(&cells, origin), d, rays.near[0], rays.far[0]))?;
             }
         }
     }

@@ -1,8 +1,8 @@
 //! The filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    ABOVE_SLOPE, BlockMask, BlockRay, BoxBlock, CellBlock, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LARGEST,
-    Lanes, SHEAR_ERROR, TriangleBlock, Work,
+    ABOVE_SLOPE, BlockMask, BlockRay, BoxBlock, CellBlock, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LANES,
+    LARGEST, Lanes, SHEAR_ERROR, TriangleBlock, Work, fan::FanRays,
 };
 use crate::SlabRay;
 use std::arch::x86_64::*;
@@ -45,6 +45,19 @@ impl Avx2 {
     pub fn entered(self, block: &BoxBlock, ray: &SlabRay) -> u32 {
         // SAFETY: `self` proves the target features.
         unsafe { entered(block, ray) }
+    }
+
+    /// The same as [`BoxBlock::columns`]. Fast only when inlined into a function with these target features.
+    #[inline(always)]
+    pub fn columns<const N: usize>(
+        self,
+        block: &BoxBlock,
+        origin: [f32; 3],
+        fan: &FanRays<N>,
+        rays: u32,
+    ) -> [u32; LANES] {
+        // SAFETY: `self` proves the target features.
+        unsafe { columns(block, origin, fan, rays) }
     }
 
     /// Filters a block; see the [module](super).
@@ -116,6 +129,47 @@ fn entered(block: &BoxBlock, ray: &SlabRay) -> u32 {
         exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(ray.inv_far[axis])), exit);
     }
     _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
+}
+
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1")]
+fn columns<const N: usize>(
+    block: &BoxBlock,
+    origin: [f32; 3],
+    fan: &FanRays<N>,
+    mut left: u32,
+) -> [u32; LANES] {
+    let mut ends = [[_mm256_setzero_ps(); 2]; 3];
+    for (axis, ends) in ends.iter_mut().enumerate() {
+        let (base, step, planes) = block.parts(axis);
+        for (end, row) in ends.iter_mut().zip(&planes[2 * axis..]) {
+            // SAFETY: a row is eight bytes.
+            let numbers = unsafe { _mm_loadl_epi64(row.as_ptr().cast()) };
+            let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
+            // The product is exact, so that fusing changes nothing.
+            let planes = _mm256_fmadd_ps(numbers, _mm256_set1_ps(step), _mm256_set1_ps(base));
+            *end = _mm256_sub_ps(planes, _mm256_set1_ps(origin[axis]));
+        }
+    }
+    let mut columns = _mm256_setzero_si256();
+    while left != 0 {
+        let r = left.trailing_zeros() as usize % N;
+        left &= left - 1;
+        let (mut entry, mut exit) = (_mm256_set1_ps(fan.slab_near[r]), _mm256_set1_ps(fan.slab_far[r]));
+        for (axis, ends) in ends.iter().enumerate() {
+            let backward = fan.negative[axis][r] as usize & 1;
+            let (near, far) = (ends[backward], ends[1 - backward]);
+            // `max` and `min` return the second operand for NaN, which drops it.
+            entry = _mm256_max_ps(_mm256_mul_ps(near, _mm256_set1_ps(fan.inv_near[axis][r])), entry);
+            exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(fan.inv_far[axis][r])), exit);
+        }
+        let entered = _mm256_castps_si256(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit));
+        columns = _mm256_or_si256(columns, _mm256_and_si256(entered, _mm256_set1_epi32(1 << r)));
+    }
+    let mut rows = [0; LANES];
+    // SAFETY: a row is eight integers.
+    unsafe { _mm256_storeu_si256(rows.as_mut_ptr().cast(), columns) };
+    rows
 }
 
 #[inline]

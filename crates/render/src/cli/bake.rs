@@ -292,7 +292,9 @@ fn read(arguments: &BakeArguments) -> Result<Input> {
     } else if is_mesh(&arguments.mesh) {
         read_mesh(&arguments.mesh)?
     } else {
-        Scene::load(&arguments.mesh)?.flatten()
+        let mut scene = Scene::load(&arguments.mesh)?;
+        crate::subdivide::refine(&mut scene).with_context(|| arguments.mesh.display().to_string())?;
+        scene.flatten()
     };
     let occluders = arguments.occluder.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;
     let points = arguments.points.as_ref().map(|path| read_points(path)).transpose()?;

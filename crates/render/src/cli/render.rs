@@ -89,6 +89,7 @@ pub fn run(arguments: &RenderArguments) -> Result<ExitCode> {
         None => {
             let mut scene = load(&arguments.scene)?;
             override_settings(&mut scene.settings, arguments);
+            subdivide::refine(&mut scene).with_context(|| arguments.scene.display().to_string())?;
             scene
         }
     };

@@ -5,7 +5,7 @@ use crate::{
     compare::{CompareOptions, DifferencePicture, compare as compare_films, read_two, write_difference},
     inspect::{inspect_mesh, inspect_scene},
 };
-use anyhow::Result;
+use anyhow::{Context, Result};
 use serde::Serialize;
 use std::{
     io::Write,
@@ -67,7 +67,9 @@ pub fn inspect(arguments: &InspectArguments) -> Result<ExitCode> {
     if is_mesh(&arguments.input) {
         print(&inspect_mesh(&read_mesh(&arguments.input)?), arguments.json)
     } else {
-        print(&inspect_scene(&Scene::load(&arguments.input)?), arguments.json)
+        let mut scene = Scene::load(&arguments.input)?;
+        crate::subdivide::refine(&mut scene).with_context(|| arguments.input.display().to_string())?;
+        print(&inspect_scene(&scene), arguments.json)
     }
 }
 

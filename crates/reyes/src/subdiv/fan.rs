@@ -1,6 +1,9 @@
 //! A vertex with the quadrilaterals around it: refinement of that alone, its limit position and tangents.
 
-use super::rules::{self, CreaseMethod, Star, VertexRule, child_sharpness, decay, is_infinite};
+use super::{
+    CreaseMethod,
+    rules::{self, Star, VertexRule, child_sharpness, decay, is_infinite},
+};
 use std::{borrow::Cow, f64::consts::PI};
 use umbrage_geom::glam::DVec3;
 

@@ -1,8 +1,8 @@
 //! Whole meshes: checking, neighbours, one level of refinement.
 
 use super::{
-    Fan, MAX_VALENCE, Spoke,
-    rules::{self, BoundaryRule, CreaseMethod, INFINITE_SHARPNESS, Star, child_sharpness, decay},
+    BoundaryRule, CreaseMethod, Fan, MAX_VALENCE, Spoke,
+    rules::{self, INFINITE_SHARPNESS, Star, child_sharpness, decay},
 };
 use crate::SurfaceError;
 use std::collections::HashMap;
@@ -369,14 +369,48 @@ impl SubdivisionMesh {
         let mut fine = Self::connect(positions, starts, corners, vertex_sharpness, self.method)
             .expect("halves of a manifold mesh are one");
         fine.sharpness = sharpness;
-        for h in 0..fine.corners.len() as u32 {
-            let v = fine.corners[h as usize] as usize;
+        fine.set_first();
+        fine
+    }
+
+    /// Finds where the fans of vertices start; each vertex has one fan.
+    fn set_first(&mut self) {
+        for h in 0..self.corners.len() as u32 {
+            let v = self.corners[h as usize] as usize;
             // The boundary's half-edge where there is one.
-            if fine.first[v] == NONE || fine.twins[h as usize] == NONE {
-                fine.first[v] = h;
+            if self.first[v] == NONE || self.twins[h as usize] == NONE {
+                self.first[v] = h;
             }
         }
-        fine
+    }
+
+    /// The faces around a vertex as a mesh of their own, in which the vertex is the first; `None` if it has none or does not
+    /// exist.
+    ///
+    /// Refined, it has around that vertex what the whole mesh has there, so that a limit is found in linear time:
+    /// `mesh.refine().around(0)`, again and again.
+    pub fn around(&self, vertex: u32) -> Option<Self> {
+        let first = self.first.get(vertex as usize).copied().filter(|&first| first != NONE)?;
+        let mut of_whole = vec![vertex];
+        let mut known = HashMap::from([(vertex, 0)]);
+        let (mut starts, mut corners, mut sharpness) = (vec![0], Vec::new(), Vec::new());
+        for out in self.outgoing(first) {
+            for h in self.face(self.face_of(out)) {
+                let v = self.corners[h as usize];
+                corners.push(*known.entry(v).or_insert_with(|| {
+                    of_whole.push(v);
+                    of_whole.len() as u32 - 1
+                }));
+                sharpness.push(self.sharpness[h as usize]);
+            }
+            starts.push(corners.len() as u32);
+        }
+        let positions = of_whole.iter().map(|&v| self.positions[v as usize]).collect();
+        let vertex_sharpness = of_whole.iter().map(|&v| self.vertex_sharpness[v as usize]).collect();
+        let mut part = Self::connect(positions, starts, corners, vertex_sharpness, self.method).ok()?;
+        part.sharpness = sharpness;
+        part.set_first();
+        Some(part)
     }
 
     /// The new place of vertex `v`; sharpness of its ends of edges goes into `halves`.

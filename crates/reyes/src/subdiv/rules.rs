@@ -3,32 +3,10 @@
 //! Here: one vertex or edge, from the points around it. Not here: where those come from (`mesh.rs` for whole meshes, `fan.rs`
 //! for one-rings), limits (`fan.rs`).
 
-use umbrage_geom::glam::DVec3;
+use umbrage_geom::{CreaseMethod, glam::DVec3};
 
 /// Sharpness from which a crease or corner stays sharp for good.
 pub const INFINITE_SHARPNESS: f32 = 10.0;
-
-/// What happens at the boundary of an open mesh.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum BoundaryRule {
-    /// Boundary edges are creases; boundary vertices follow the curve.
-    #[default]
-    EdgeOnly,
-    /// In addition, boundary vertices with one face are corners and keep their place.
-    EdgeAndCorner,
-}
-
-/// How sharpness decays from level to level.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum CreaseMethod {
-    /// By 1 a level.
-    #[default]
-    Uniform,
-    /// By 1 a level after a Chaikin step along the crease, which smooths changes of sharpness.
-    Chaikin,
-}
 
 pub(crate) fn is_infinite(sharpness: f32) -> bool {
     sharpness >= INFINITE_SHARPNESS

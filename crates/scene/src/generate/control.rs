@@ -1,11 +1,12 @@
 //! Control meshes of subdivision surfaces: `cube-sphere`, `creased-cube`, `open-patch`, `star-tube`.
 
-use super::{Generated, Inputs, random::heading, shapes::whole};
-use umbrage_geom::{PolygonMesh, glam::Vec3};
+use super::{Generated, Inputs, random::heading};
+use umbrage_geom::{FaceObject, PolygonMesh, glam::Vec3};
 
-fn generated(control: PolygonMesh, name: &str) -> Generated {
+fn generated(mut control: PolygonMesh, name: &str) -> Generated {
+    control.objects = vec![FaceObject { name: name.into(), faces: 0..control.face_sizes.len() as u32 }];
     let mesh = control.triangulate().expect("control meshes are valid as written");
-    Generated { mesh: whole(mesh, name), control: Some(control) }
+    Generated { mesh, control: Some(control) }
 }
 
 /// A cube of the given half width that stands on the ground.

@@ -5,7 +5,7 @@
 
 use super::Flaw;
 use umbrage_geom::mesh::{MAX_COORDINATE, MAX_ELEMENTS};
-use umbrage_geom::{MeshError, MeshObject, PolygonMesh, TriangleMesh};
+use umbrage_geom::{FaceObject, MeshError, PolygonMesh, TriangleMesh};
 
 /// No normal or texture coordinate at this corner.
 const NONE: u32 = u32::MAX;
@@ -242,32 +242,34 @@ impl Obj {
             return Err(MeshError::TooMany { what: "triangles", count: triangles }.into());
         }
         mesh.triangles.reserve_exact(triangles);
-        let mut objects = self.objects.iter().peekable();
         let mut corner = 0;
-        for (face, &size) in self.face_sizes.iter().enumerate() {
-            let mut name = None;
-            while let Some((next, _)) = objects.next_if(|(_, first)| *first <= face) {
-                name = Some(next);
-            }
-            if let Some(name) = name {
-                let start = mesh.triangles.len() as u32;
-                if mesh.objects.is_empty() && start > 0 {
-                    mesh.objects.push(object(String::new(), 0));
-                }
-                mesh.objects.push(object(name.clone(), start));
-            }
+        for &size in &self.face_sizes {
             for i in corner + 1..corner + size as usize - 1 {
                 self.push_triangle([corner, i, i + 1], &mut mesh);
             }
             corner += size as usize;
         }
-        let mut end = mesh.triangles.len() as u32;
-        for object in mesh.objects.iter_mut().rev() {
-            object.triangles.end = end;
-            end = object.triangles.start;
-        }
+        let polygons = PolygonMesh { objects: self.face_objects(), ..PolygonMesh::default() };
+        mesh.objects = polygons.triangle_objects(self.face_sizes.iter().map(|&size| size - 2));
         mesh.positions = self.positions;
         Ok(mesh)
+    }
+
+    /// Runs of faces under one name; names without faces are left out.
+    fn face_objects(&self) -> Vec<FaceObject> {
+        let count = self.face_sizes.len();
+        let mut objects: Vec<FaceObject> = Vec::new();
+        for (i, (name, first)) in self.objects.iter().enumerate() {
+            let end = self.objects.get(i + 1).map_or(count, |(_, next)| *next);
+            if *first == end {
+                continue;
+            }
+            if objects.is_empty() && *first > 0 {
+                objects.push(FaceObject { name: String::new(), faces: 0..*first as u32 });
+            }
+            objects.push(FaceObject { name: name.clone(), faces: *first as u32..end as u32 });
+        }
+        objects
     }
 
     fn push_triangle(&self, corners: [usize; 3], mesh: &mut TriangleMesh) {
@@ -305,6 +307,7 @@ impl Obj {
             })
             .collect();
         Ok(PolygonMesh {
+            objects: self.face_objects(),
             positions: self.positions,
             face_sizes: self.face_sizes,
             corners: self.corners,
@@ -323,10 +326,6 @@ impl Stream {
             Self::Normal => "normal",
         }
     }
-}
-
-fn object(name: String, start: u32) -> MeshObject {
-    MeshObject { name, triangles: start..start, opacity: 1.0 }
 }
 
 /// Stores the index of one corner's attribute; nothing is stored until the first corner that has one.

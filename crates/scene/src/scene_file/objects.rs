@@ -3,14 +3,17 @@
 use super::fields::{Fields, Flaw, Value};
 use super::placement;
 use crate::generate::{GenerateError, ParameterValue, Parameters, generate};
-use crate::mesh_file::read_mesh;
-use crate::scene::{Instance, Material, NamedMesh};
+use crate::mesh_file::{read_mesh, read_polygons};
+use crate::scene::{Instance, Material, NamedMesh, Subdivision, SubdivisionRate};
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use toml::de::DeValue;
-use umbrage_geom::TriangleMesh;
 use umbrage_geom::glam::Affine3A;
 use umbrage_geom::mesh::MAX_COORDINATE;
+use umbrage_geom::{BoundaryRule, CreaseMethod, PolygonMesh, TriangleMesh};
+
+/// Most times that `subdivide` halves a face.
+const MAX_SURFACE_LEVEL: u32 = 12;
 
 /// Most triangles over all instances, so that counts and bounds of a scene stay sane.
 const MAX_SCENE_INSTANCES: usize = 1 << 22;
@@ -39,9 +42,10 @@ pub(super) fn read(top: &Fields<'_>, folder: &Path) -> Result<Geometry, Flaw> {
     }
     if let Some(meshes) = top.table("meshes")? {
         for entry in meshes.entries() {
-            let mesh = read_mesh_table(&entry.table(format!("mesh '{}'", entry.key()))?, folder)?;
+            let mesh =
+                read_mesh_table(&entry.table(format!("mesh '{}'", entry.key()))?, entry.key(), folder)?;
             geometry.mesh_indices.insert(entry.key().into(), geometry.meshes.len());
-            geometry.meshes.push(NamedMesh { name: entry.key().into(), mesh });
+            geometry.meshes.push(mesh);
         }
     }
     let objects = top.value("objects").map_or(Ok(Vec::new()), |v| v.items())?;
@@ -83,17 +87,64 @@ fn read_material(entry: &Value<'_>) -> Result<Material, Flaw> {
     Ok(material)
 }
 
-/// A table with `file`, or with `generator` and its parameters.
-fn read_mesh_table(fields: &Fields<'_>, folder: &Path) -> Result<TriangleMesh, Flaw> {
-    match (fields.value("file"), fields.value("generator")) {
+/// A table with `file`, or with `generator` and its parameters, and perhaps `subdivide`.
+fn read_mesh_table(fields: &Fields<'_>, name: &str, folder: &Path) -> Result<NamedMesh, Flaw> {
+    let subdivide = fields.value("subdivide");
+    let surface = subdivide.as_ref().map(read_subdivide).transpose()?;
+    let (mesh, control) = match (fields.value("file"), fields.value("generator")) {
         (Some(file), None) => {
-            let mesh = read_mesh_file(&file, folder)?;
+            let read = match &surface {
+                Some(_) => read_control_file(&file, folder)?,
+                None => (read_mesh_file(&file, folder)?, None),
+            };
             fields.finish()?;
-            Ok(mesh)
+            read
         }
-        (None, Some(generator)) => generated(fields, &generator),
-        _ => Err(fields.flaw("needs either 'file' or 'generator'")),
+        (None, Some(generator)) => generated(fields, &generator)?,
+        _ => return Err(fields.flaw("needs either 'file' or 'generator'")),
+    };
+    let subdivision = match (surface, control, subdivide) {
+        (Some(surface), Some(control), _) => Some(Subdivision { control, ..surface }),
+        (Some(_), None, Some(key)) => return Err(key.flaw("needs a generator of control meshes")),
+        _ => None,
+    };
+    Ok(NamedMesh { name: name.into(), mesh, subdivision })
+}
+
+/// `subdivide`: a length in pixels, or a table. The control mesh comes later.
+fn read_subdivide(value: &Value<'_>) -> Result<Subdivision, Flaw> {
+    let mut surface = Subdivision::default();
+    match value.raw() {
+        DeValue::Integer(_) | DeValue::Float(_) => surface.rate = SubdivisionRate::Pixels(value.positive()?),
+        DeValue::Table(_) => {
+            let fields = value.table("subdivide")?;
+            match (fields.value("pixels"), fields.value("level")) {
+                (Some(_), Some(_)) => return Err(fields.flaw("takes 'pixels' or 'level', not both")),
+                (Some(pixels), None) => surface.rate = SubdivisionRate::Pixels(pixels.positive()?),
+                (None, Some(level)) => {
+                    surface.rate = SubdivisionRate::Level(level.whole(0..=MAX_SURFACE_LEVEL)? as u8);
+                }
+                (None, None) => {}
+            }
+            if let Some(boundary) = fields.value("boundary") {
+                surface.boundary = match boundary.text()? {
+                    "edge-only" => BoundaryRule::EdgeOnly,
+                    "edge-and-corner" => BoundaryRule::EdgeAndCorner,
+                    _ => return Err(boundary.expected("'edge-only' or 'edge-and-corner'")),
+                };
+            }
+            if let Some(creases) = fields.value("creases") {
+                surface.creases = match creases.text()? {
+                    "uniform" => CreaseMethod::Uniform,
+                    "chaikin" => CreaseMethod::Chaikin,
+                    _ => return Err(creases.expected("'uniform' or 'chaikin'")),
+                };
+            }
+            fields.finish()?;
+        }
+        _ => return Err(value.expected("a length in pixels or a table")),
     }
+    Ok(surface)
 }
 
 fn read_mesh_file(file: &Value<'_>, folder: &Path) -> Result<TriangleMesh, Flaw> {
@@ -101,7 +152,19 @@ fn read_mesh_file(file: &Value<'_>, folder: &Path) -> Result<TriangleMesh, Flaw>
     read_mesh(&path).map_err(|e| file.flaw(format!("can't be used: {e}")))
 }
 
-fn generated(fields: &Fields<'_>, generator: &Value<'_>) -> Result<TriangleMesh, Flaw> {
+/// Polygons, and their fans.
+fn read_control_file(file: &Value<'_>, folder: &Path) -> Result<(TriangleMesh, Option<PolygonMesh>), Flaw> {
+    let path = folder.join(file.text()?);
+    let control = read_polygons(&path).map_err(|e| file.flaw(format!("can't be used: {e}")))?;
+    let mesh = control.triangulate();
+    let mesh = mesh.map_err(|e| file.flaw(format!("can't be used: {}: {e}", path.display())))?;
+    Ok((mesh, Some(control)))
+}
+
+fn generated(
+    fields: &Fields<'_>,
+    generator: &Value<'_>,
+) -> Result<(TriangleMesh, Option<PolygonMesh>), Flaw> {
     let mut parameters = Parameters::default();
     fields.whole_into("seed", 0..=u32::MAX, &mut parameters.seed)?;
     if let Some(triangles) = fields.value("triangles") {
@@ -117,7 +180,7 @@ fn generated(fields: &Fields<'_>, generator: &Value<'_>) -> Result<TriangleMesh,
         parameters.values.insert(other.key().into(), value);
     }
     match generate(generator.text()?, &parameters) {
-        Ok(generated) => Ok(generated.mesh),
+        Ok(generated) => Ok((generated.mesh, generated.control)),
         Err(error) => {
             let culprit = match &error {
                 GenerateError::UnknownParameter { parameter, .. }
@@ -181,10 +244,10 @@ impl Geometry {
             None => "mesh",
         };
         let name = first_free(stem, |name| self.mesh_indices.contains_key(name));
-        let read = read_mesh_table(&inline, folder)?;
+        let mesh = read_mesh_table(&inline, &name, folder)?;
         let index = self.meshes.len();
-        self.mesh_indices.insert(name.clone(), index);
-        self.meshes.push(NamedMesh { name, mesh: read });
+        self.mesh_indices.insert(name, index);
+        self.meshes.push(mesh);
         Ok(index)
     }
 

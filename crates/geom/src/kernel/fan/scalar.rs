@@ -1,7 +1,7 @@
 //! The fan filter one lane at a time, in plain operations.
 
 use super::{
-    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, TriangleBlock},
+    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, Lanes},
     DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR,
 };
 use crate::triangle::plane_side;
@@ -21,7 +21,7 @@ pub struct Planes {
     pub(super) side: [f32; LANES],
     /// No hit is further.
     pub(super) reach: [f32; LANES],
-    /// Triangles that may be hit.
+    /// Triangles that may be hit, a bit each.
     pub(super) used: u8,
 }
 
@@ -42,7 +42,7 @@ fn largest(vectors: [[f32; 3]; 3]) -> f32 {
 #[cold]
 pub(super) fn sides(
     mut side: [f32; LANES],
-    block: &TriangleBlock,
+    block: &impl Lanes,
     origin: [f32; 3],
     mut lanes: u8,
 ) -> ([f32; LANES], u8) {
@@ -50,7 +50,7 @@ pub(super) fn sides(
     while lanes != 0 {
         let lane = lanes.trailing_zeros() as usize % LANES;
         lanes &= lanes - 1;
-        match plane_side(origin.into(), block.get(lane)) {
+        match plane_side(origin.into(), block.triangle(lane)) {
             0 => on |= 1 << lane,
             behind if behind > 0 => side[lane] = f32::NEG_INFINITY,
             _ => side[lane] = f32::INFINITY,
@@ -75,10 +75,10 @@ impl Planes {
 
     /// Looks at `block` from the finite point `origin`.
     #[inline]
-    pub fn new(block: &TriangleBlock, origin: [f32; 3]) -> Self {
+    pub fn new(block: &impl Lanes, origin: [f32; 3]) -> Self {
         let mut this = Self { used: block.used(), ..Self::EMPTY };
         for lane in 0..LANES {
-            let corners = block.get(lane);
+            let corners = block.triangle(lane);
             let minus = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
             let edges =
                 [minus(corners[1], corners[2]), minus(corners[2], corners[0]), minus(corners[0], corners[1])];
@@ -106,7 +106,7 @@ impl Planes {
     /// The plane of a large triangle passes so close to a point on it that `T` is uncertain for all rays from there. Its sign
     /// says whether they leave it behind. Where `T` is 0 none can hit.
     #[inline(always)]
-    pub fn ask_sides(&mut self, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+    pub fn ask_sides(&mut self, block: &impl Lanes, origin: [f32; 3], lanes: u8) {
         let on;
         (self.side, on) = sides(self.side, block, origin, lanes);
         self.used &= !on;

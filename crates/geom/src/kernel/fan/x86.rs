@@ -1,10 +1,7 @@
 //! The fan filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    super::{
-        BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, TriangleBlock,
-        x86::{Avx2, corner},
-    },
+    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, Lanes as Triangles, x86::Avx2},
     DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR, scalar,
 };
 use std::arch::x86_64::*;
@@ -50,8 +47,10 @@ fn largest(v: [[__m256; 3]; 3]) -> __m256 {
 
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn planes(block: &TriangleBlock, origin: [f32; 3]) -> Planes {
-    let at = |c: usize| [corner(block, c, 0), corner(block, c, 1), corner(block, c, 2)];
+fn planes(block: &impl Triangles, origin: [f32; 3]) -> Planes {
+    // SAFETY: this function's target features.
+    let corner = |c: usize, axis: usize| unsafe { block.corner(c, axis) };
+    let at = |c: usize| [corner(c, 0), corner(c, 1), corner(c, 2)];
     let corners = [at(0), at(1), at(2)];
     let origin = [_mm256_set1_ps(origin[0]), _mm256_set1_ps(origin[1]), _mm256_set1_ps(origin[2])];
     let [a, b, c] = [minus(corners[0], origin), minus(corners[1], origin), minus(corners[2], origin)];
@@ -199,7 +198,7 @@ fn store(planes: &Planes) -> scalar::Planes {
 
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn ask_sides(planes: &mut Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+fn ask_sides(planes: &mut Planes, block: &impl Triangles, origin: [f32; 3], lanes: u8) {
     let mut row = [0.0; LANES];
     // SAFETY: rows are eight floats.
     unsafe { _mm256_storeu_ps(row.as_mut_ptr(), planes.side) };
@@ -214,14 +213,14 @@ impl Avx2 {
     ///
     /// Fast only when inlined into a function with these target features.
     #[inline(always)]
-    pub fn planes(self, block: &TriangleBlock, origin: [f32; 3]) -> Planes {
+    pub fn planes(self, block: &impl Triangles, origin: [f32; 3]) -> Planes {
         // SAFETY: `self` proves the target features.
         unsafe { planes(block, origin) }
     }
 
     /// See [`scalar::Planes::ask_sides`].
     #[inline(always)]
-    pub fn ask_sides(self, planes: &mut Planes, block: &TriangleBlock, origin: [f32; 3], lanes: u8) {
+    pub fn ask_sides(self, planes: &mut Planes, block: &impl Triangles, origin: [f32; 3], lanes: u8) {
         // SAFETY: `self` proves the target features.
         unsafe { ask_sides(planes, block, origin, lanes) }
     }
