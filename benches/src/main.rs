@@ -83,8 +83,8 @@ fn main() -> Result<()> {
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
         "volumetric" => {
-            let Arguments { quick, only, pictures, .. } = arguments;
-            volumetric::run(&volumetric::Options { quick, only, pictures }, &mut output)
+            let Arguments { quick, peers, only, pictures, .. } = arguments;
+            volumetric::run(&volumetric::Options { quick, peers, only, pictures }, &mut output)
         }
         "reyes" => {
             let Arguments { quick, peers, only, size, figure, plots, pictures, .. } = arguments;

@@ -28,11 +28,11 @@ pub struct Setting<'a> {
 }
 
 /// Passes over all entries that pick the fastest of each method.
-const HEATS: usize = 2;
+pub const HEATS: usize = 2;
 
 /// An entry after its passes.
-struct Measured<'e, A> {
-    entry: Box<dyn Entry<A> + 'e>,
+pub struct Measured<'e, A> {
+    pub entry: Box<dyn Entry<A> + 'e>,
     times: Vec<f64>,
     answers: Vec<A>,
     /// Most answers in which another entry of the method differs.
@@ -188,7 +188,7 @@ impl Setting<'_> {
 }
 
 /// Times all entries in turn.
-fn measure<'e, A: Answer>(
+pub fn measure<'e, A: Answer>(
     entries: Vec<Box<dyn Entry<A> + 'e>>,
     passes: usize,
     pool: Option<&ThreadPool>,
@@ -206,7 +206,7 @@ fn measure<'e, A: Answer>(
 }
 
 /// The entry with the smallest time of each method, methods in order of their first entry.
-fn fastest<A: Answer>(measured: Vec<Measured<A>>) -> Vec<Measured<A>> {
+pub fn fastest<A: Answer>(measured: Vec<Measured<A>>) -> Vec<Measured<A>> {
     let smallest = |m: &Measured<A>| m.times.iter().copied().fold(f64::INFINITY, f64::min);
     let mut best: Vec<Measured<A>> = Vec::new();
     for mut m in measured {

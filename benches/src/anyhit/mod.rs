@@ -6,7 +6,7 @@
 
 #[cfg(target_arch = "x86_64")]
 mod choices;
-mod measure;
+pub mod measure;
 pub mod ours;
 mod workloads;
 

@@ -69,7 +69,7 @@ impl Structures {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Call {
     Single,
-    /// Four rays in the kd-tree, sixteen in the hierarchy, the fan of a receiver and a light among solid boxes.
+    /// Packets of four in the kd-tree, the fan of a receiver and a light in the hierarchy, with solid boxes or without.
     Together,
 }
 
@@ -108,8 +108,8 @@ pub fn casters(s: &Structures) -> Vec<Caster<'_>> {
         ("bvh-volumetric", Call::Together, false),
         ("bvh-volumetric+cache", Call::Together, true),
     ] {
-        let bytes = s.bvh.bytes() + s.solid.bytes();
-        add(name, call, Kind::Solid(&s.solid, remembered), s.bvh_s + s.solid_s, bytes);
+        let build_s = s.bvh_s + s.solid_s;
+        add(name, call, Kind::Solid(&s.solid, remembered), build_s, s.solid.bytes());
     }
     for call in [Call::Single, Call::Together] {
         add("kd", call, Kind::Kd(&s.kd, Order::RAY, false, false), s.kd_s, s.kd.tree().bytes());
@@ -139,11 +139,10 @@ impl Caster<'_> {
             Kind::Solid(solid, remembered) => {
                 let mut scratch = solid.scratch();
                 let ends = ends(scene, |region| solid.is_outside(region));
-                for fan in &shadows.fans {
-                    let range = fan.start as usize..fan.end as usize;
+                for (light, range) in shadows.runs() {
                     let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
-                    let light = remembered.then_some(fan.light as usize);
-                    let ends = ends[fan.light as usize];
+                    let ends = ends[light];
+                    let light = remembered.then_some(light);
                     match self.call {
                         Call::Single => rays
                             .iter()
@@ -161,13 +160,12 @@ impl Caster<'_> {
         let Kind::Kd(kd, order, occluders, cached) = self.kind else { return };
         let mut scratch = Scratch::default();
         let ends = ends(scene, |region| kd.is_outside(region));
-        for fan in &shadows.fans {
-            let range = fan.start as usize..fan.end as usize;
+        for (light, range) in shadows.runs() {
             let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
             let query = Query::default()
                 .with_order(order)
-                .with_ends(ends[fan.light as usize])
-                .with_light(cached.then_some(fan.light as usize))
+                .with_ends(ends[light])
+                .with_light(cached.then_some(light))
                 .with_occluders(occluders);
             match self.call {
                 Call::Single => rays
@@ -195,18 +193,27 @@ impl Caster<'_> {
             }
             Kind::Solid(solid, remembered) => {
                 let (mut scratch, mut counters) = (solid.scratch(), SolidCounters::default());
-                for fan in &shadows.fans {
-                    let light = remembered.then_some(fan.light as usize);
-                    for ray in &shadows.rays[fan.start as usize..fan.end as usize] {
+                let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
+                let forecast = solid.forecast(&lights);
+                for (light, range) in shadows.runs() {
+                    let light = remembered.then_some(light);
+                    for ray in &shadows.rays[range] {
                         solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, &mut counters);
                     }
                 }
                 let value = json!({
-                    "nodes": counters.nodes,
-                    "leaves": counters.leaves,
+                    "nodes": counters.walk.nodes,
+                    "triangle_tests": counters.walk.triangle_tests,
+                    "box_tests": counters.walk.box_tests,
                     "occluders": solid.occluders().len(),
+                    "packs": solid.pack_count(),
+                    "forecast_triangles": forecast.triangles,
+                    "forecast_coverage": forecast.coverage,
+                    "forecast_area_ratio": forecast.area_ratio,
+                    "forecast_occurrence": forecast.occurrence,
+                    "forecast_pays": forecast.pays(),
                     "occluder_hits": counters.solid_hits,
-                    "cache_hits": counters.remembered_hits,
+                    "cache_hits": counters.first_hits,
                     "generators": solid.generator_count(),
                 });
                 (Counters::default(), value)

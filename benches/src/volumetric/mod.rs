@@ -11,6 +11,9 @@ use self::{
     tables::Tables,
 };
 use crate::{
+    anyhit::measure::{HEATS, fastest, measure as heats},
+    entry::{Entry, OnThreads},
+    peer::{self, Peer, PeerName},
     rows::{Output, Row, Timed, alternate, median, note, paired_speedup},
     scenes,
 };
@@ -18,12 +21,15 @@ use anyhow::Result;
 use serde_json::json;
 use std::path::PathBuf;
 use umbrage_accel::brute;
+use umbrage_geom::Ray;
 
 /// What to run.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Smaller meshes, fewer rays and passes.
     pub quick: bool,
+    /// Ray casters of others to measure against.
+    pub peers: Vec<PeerName>,
     /// Only scenes whose name contains this.
     pub only: Option<String>,
     /// Where pictures go, if they are wanted.
@@ -90,6 +96,15 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     Ok(())
 }
 
+/// A peer's fastest way to answer the rays.
+type Best<'a> = Box<dyn Entry<bool> + 'a>;
+
+fn best_of<'a>(peer: &'a dyn Peer, rays: &'a [Ray]) -> Option<Best<'a>> {
+    let all = fastest(heats(peer.any_hit(rays), HEATS, None));
+    let name = peer.name();
+    all.into_iter().map(|m| m.entry).find(|entry| entry.method() == name)
+}
+
 /// Rows of one scene.
 fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut Output) -> Result<()> {
     note(&format!("preparing {}", scene.name));
@@ -98,17 +113,22 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
     let case = Case { scene, shadows: &shadows, structures: &structures };
     let casters = casters(&structures);
     let passes = if options.quick { 3 } else { 5 };
-    let (times, answers) = case.time(&casters, passes);
+    let peers: Vec<Box<dyn Peer>> =
+        options.peers.iter().map(|&name| peer::open(name, &scene.mesh)).collect::<Result<_>>()?;
+    let rivals: Vec<Best> = peers.iter().filter_map(|peer| best_of(peer.as_ref(), &shadows.rays)).collect();
+    let modes: Vec<(&str, String)> = rivals.iter().map(|rival| (rival.method(), rival.mode())).collect();
+    let (times, answers) = case.time(&casters, rivals, passes);
     let wrong = brute_differences(scene, &shadows, &answers[0]);
     for (i, caster) in casters.iter().enumerate() {
         let (counted, mut counters) = caster.counters(scene, &shadows);
-        let different = answers[i].iter().zip(&answers[0]).filter(|(a, b)| a != b).count();
-        counters["different_bits"] = json!(different + wrong);
+        let differences =
+            |other: usize| answers[i].iter().zip(&answers[other]).filter(|(a, b)| a != b).count();
+        counters["different_bits"] = json!(differences(0) + wrong);
         let together = caster.call == Call::Together;
         let of = |method: &str, together: bool| {
             casters.iter().position(|c| c.method == method && (c.call == Call::Together) == together)
         };
-        // Single rays against single rays, packets against packets; fans also against the best of the plain hierarchy.
+        // Single rays against single rays, packets against packets.
         let baseline = if caster.method.starts_with("kd") { "kd" } else { "bvh" };
         let against = of(baseline, together).expect("every call has its baseline");
         let time_s = median(&times[i]);
@@ -128,6 +148,14 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
             speedup: paired_speedup(&times[against], &times[i]),
         };
         output.row(&row)?;
+        for (k, (peer, mode)) in modes.iter().enumerate() {
+            let theirs = casters.len() + k;
+            let mut row = Row { baseline: peer, ..row.clone() };
+            row.speedup = paired_speedup(&times[theirs], &times[i]);
+            row.params["peer_mode"] = json!(mode);
+            row.counters["different_from_peer"] = json!(differences(theirs));
+            output.row(&row)?;
+        }
         tables.add(row, counted);
     }
     tables.add_scene(&case, &casters, &answers[0], passes);
@@ -138,15 +166,25 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
 }
 
 impl Case<'_> {
-    /// Times of all casters in turn, and their answers.
-    pub fn time(&self, casters: &[Caster], passes: usize) -> (Vec<Vec<f64>>, Vec<Vec<bool>>) {
+    /// Times of all casters, and of what peers have, in turn; and their answers.
+    pub fn time(
+        &self,
+        casters: &[Caster],
+        rivals: Vec<Best>,
+        passes: usize,
+    ) -> (Vec<Vec<f64>>, Vec<Vec<bool>>) {
         let hits = vec![false; self.shadows.rays.len()];
         let (scene, shadows) = (self.scene, self.shadows);
         let mut runs: Vec<Run> =
             casters.iter().map(|caster| Run { caster, scene, shadows, hits: hits.clone() }).collect();
-        let mut timed: Vec<&mut dyn Timed> = runs.iter_mut().map(|run| run as &mut dyn Timed).collect();
+        let mut others: Vec<_> =
+            rivals.into_iter().map(|entry| OnThreads { entry, pool: None, answers: None }).collect();
+        let own = runs.iter_mut().map(|run| run as &mut dyn Timed);
+        let mut timed: Vec<&mut dyn Timed> =
+            own.chain(others.iter_mut().map(|other| other as &mut dyn Timed)).collect();
         let times = alternate(passes, &mut timed);
-        (times, runs.into_iter().map(|run| run.hits).collect())
+        let theirs = others.into_iter().map(|other| other.answers.unwrap_or_default());
+        (times, runs.into_iter().map(|run| run.hits).chain(theirs).collect())
     }
 }
 

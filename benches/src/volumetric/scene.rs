@@ -2,7 +2,7 @@
 
 use crate::scenes;
 use anyhow::Result;
-use std::{f32::consts::TAU, path::Path};
+use std::{f32::consts::TAU, ops::Range, path::Path};
 use umbrage_accel::{BuildOptions, Bvh};
 use umbrage_geom::{
     Aabb, Ray, TriangleMesh,
@@ -47,7 +47,14 @@ pub struct Fan {
     pub end: u32,
 }
 
-/// All shadow rays of an image.
+/// A point that is shaded.
+struct Receiver {
+    point: Vec3,
+    normal: Vec3,
+    pixel: u32,
+}
+
+/// All shadow rays of an image, tile by tile, light by light, receiver by receiver.
 pub struct Shadows {
     pub rays: Vec<Ray>,
     pub fans: Vec<Fan>,
@@ -86,11 +93,14 @@ fn join(parts: &[TriangleMesh], extent: f32, y: f32) -> (TriangleMesh, Vec<Objec
     (mesh, objects)
 }
 
-/// Five square lights on a ring, low enough for long shadows.
+/// Five square lights on a ring above and behind what is looked at, so that shadows fall together, towards the camera.
+///
+/// The dissertation doesn't say where its lights are; in its images about 40 % of the shadow rays are occluded (section 4.8.2), which
+/// lights all around the mesh can't reach: their shadows lie apart, and most of the ground sees four of them.
 fn ring(extent: f32) -> Vec<Light> {
     let light = |i: u32| {
         let angle = 0.3 + i as f32 * TAU / 5.0;
-        let center = Vec3::new(angle.cos() * 1.1, 0.65, angle.sin() * 1.1) * extent;
+        let center = Vec3::new(angle.cos() * 0.35 - 0.2, 1.0, angle.sin() * 0.35 - 0.55) * extent;
         Light { center, size: 0.25 * extent }
     };
     (0..5).map(light).collect()
@@ -133,8 +143,10 @@ pub fn single_points(name: &str, mesh: &TriangleMesh, lights: u32) -> Scene {
 /// One object on the ground.
 pub fn single(name: &str, mesh: &TriangleMesh) -> Scene {
     let placed = place(mesh, Vec3::ZERO, 1.0, 0.0);
+    // Mesh and shadow fill the image.
+    let look = Vec3::new(0.0, 0.2 * placed.bounds().max.y, 0.0);
+    let eye = look + Vec3::new(0.3, 0.75, 0.95).normalize() * 1.1;
     let (mesh, objects) = join(&[placed], 2.0, -0.0005);
-    let (eye, look) = (Vec3::new(0.3, 0.6, 0.95), Vec3::new(0.0, 0.2, 0.0));
     Scene { name: name.into(), mesh, objects, eye, look, lights: ring(1.0) }
 }
 
@@ -180,8 +192,17 @@ pub fn many(name: &str, folder: &Path, leaves: u32) -> Result<Scene> {
         parts.push(cloud);
     }
     let (mesh, objects) = join(&parts, 6.0, -0.001);
-    let eye = Vec3::new(2.0, if leaves > 0 { 0.9 } else { 3.0 }, -5.0);
+    let eye = Vec3::new(2.0, if leaves > 0 { 0.9 } else { 3.0 }, 5.0);
     Ok(Scene { name: name.into(), mesh, objects, eye, look: Vec3::new(0.0, 0.2, 0.0), lights: ring(3.0) })
+}
+
+impl Shadows {
+    /// Runs of rays to one light, with the light: most of a tile's.
+    pub fn runs(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
+        self.fans
+            .chunk_by(|a, b| a.light == b.light)
+            .map(|fans| (fans[0].light as usize, fans[0].start as usize..fans[fans.len() - 1].end as usize))
+    }
 }
 
 impl Scene {
@@ -194,7 +215,9 @@ impl Scene {
         // Scattered by a stride that has no factor in common with the number of tiles.
         let chosen = (0..tiles * tiles / step)
             .map(|i| i.wrapping_mul(if step == 1 { 1 } else { 1_597 }) % (tiles * tiles));
+        let mut receivers = Vec::new();
         for tile in chosen {
+            receivers.clear();
             for place in 0..256 {
                 let (x, y) = (tile % tiles * 16 + place % 16, tile / tiles * 16 + place / 16);
                 let ray = self.camera_ray(x, y, side);
@@ -204,8 +227,11 @@ impl Scene {
                 let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
                 let point = a + (b - a) * hit.u + (c - a) * hit.v;
                 let magnitude = a.abs().max(b.abs()).max(c.abs()).max_element();
-                let receiver = offset_origin(point, normal, normal, magnitude);
-                self.add_fans(&mut shadows, receiver, normal, y * side + x, per_light);
+                let point = offset_origin(point, normal, normal, magnitude);
+                receivers.push(Receiver { point, normal, pixel: y * side + x });
+            }
+            for light in 0..self.lights.len() {
+                receivers.iter().for_each(|receiver| self.add_fan(&mut shadows, receiver, light, per_light));
             }
         }
         Ok(shadows)
@@ -216,7 +242,7 @@ impl Scene {
         let forward = (self.look - self.eye).normalize();
         let right = forward.cross(Vec3::Y).normalize();
         let up = right.cross(forward);
-        let offset = |i: u32| 0.85 * ((i as f32 + 0.5) / side as f32 - 0.5);
+        let offset = |i: u32| 0.8 * ((i as f32 + 0.5) / side as f32 - 0.5);
         Ray::new(self.eye, forward + right * offset(x) - up * offset(y))
     }
 
@@ -231,25 +257,25 @@ impl Scene {
         Ok((0..side * side).map(normal).collect())
     }
 
-    /// Rays from one receiver to every light that it faces.
-    fn add_fans(&self, shadows: &mut Shadows, receiver: Vec3, normal: Vec3, pixel: u32, per_light: u32) {
-        let mut random = RandomStream::new(99, pixel);
-        for (light, shape) in self.lights.iter().enumerate() {
-            if normal.dot(shape.center - receiver) <= 0.0 {
-                continue;
-            }
-            let columns = per_light.min(5);
-            let start = shadows.rays.len() as u32;
-            let per_light = if shape.size == 0.0 { 1 } else { per_light };
-            for k in 0..per_light {
-                let cell = Vec2::new((k % columns) as f32, (k / columns) as f32);
-                let jitter = Vec2::new(random.next_unit(), random.next_unit());
-                let rows = per_light.div_ceil(columns);
-                let at = ((cell + jitter) / Vec2::new(columns as f32, rows as f32) - 0.5) * shape.size;
-                shadows.rays.push(Ray::between(receiver, shape.center + Vec3::new(at.x, 0.0, at.y)));
-            }
-            shadows.fans.push(Fan { light: light as u32, pixel, start, end: shadows.rays.len() as u32 });
+    /// Rays from a receiver to a light, if it faces it.
+    fn add_fan(&self, shadows: &mut Shadows, receiver: &Receiver, light: usize, per_light: u32) {
+        let &Receiver { point, normal, pixel } = receiver;
+        let shape = self.lights[light];
+        if normal.dot(shape.center - point) <= 0.0 {
+            return;
         }
+        let mut random = RandomStream::new(99 + light as u32, pixel);
+        let columns = per_light.min(5);
+        let start = shadows.rays.len() as u32;
+        let per_light = if shape.size == 0.0 { 1 } else { per_light };
+        for k in 0..per_light {
+            let cell = Vec2::new((k % columns) as f32, (k / columns) as f32);
+            let jitter = Vec2::new(random.next_unit(), random.next_unit());
+            let rows = per_light.div_ceil(columns);
+            let at = ((cell + jitter) / Vec2::new(columns as f32, rows as f32) - 0.5) * shape.size;
+            shadows.rays.push(Ray::between(point, shape.center + Vec3::new(at.x, 0.0, at.y)));
+        }
+        shadows.fans.push(Fan { light: light as u32, pixel, start, end: shadows.rays.len() as u32 });
     }
 }
 

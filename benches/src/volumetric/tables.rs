@@ -55,7 +55,8 @@ impl Tables {
                 let find = |c: &&Caster| c.method == method && c.call == Call::Single;
                 let caster = casters.iter().find(find).map(std::slice::from_ref);
                 let case = Case { shadows: &part, ..*case };
-                by_answer[m][k] = caster.map_or(0.0, |caster| median(&case.time(caster, passes).0[0]));
+                by_answer[m][k] =
+                    caster.map_or(0.0, |caster| median(&case.time(caster, Vec::new(), passes).0[0]));
             }
         }
         self.scenes.push(SceneFacts {

@@ -6,6 +6,7 @@ use crate::{
     memory,
     node::Tree,
     packet,
+    solid::Solids,
     topology::Topology,
     traversal,
 };
@@ -303,6 +304,26 @@ impl Bvh {
         self.back_end.run(AnyHits { bvh: self, rays, hits, stats });
     }
 
+    /// [`Self::any_hit`] of a ray that may end at boxes inside of solids: what `solids` says of them is believed.
+    pub fn any_hit_among(&self, ray: &Ray, solids: &mut impl Solids, stats: &mut impl Statistics) -> bool {
+        self.back_end.run(AnyHitAmong { bvh: self, ray, solids, stats })
+    }
+
+    /// [`Self::any_hit_among`] of each ray, on this thread alone; those of one origin that follow each other walk together.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn any_hits_among(
+        &self,
+        rays: &[Ray],
+        hits: &mut [bool],
+        solids: &mut impl Solids,
+        stats: &mut impl Statistics,
+    ) {
+        assert_eq!(rays.len(), hits.len(), "as many answers as rays");
+        self.back_end.run(AnyHitsAmong { bvh: self, rays, hits, solids, stats });
+    }
+
     /// [`Self::transmittance`] of each ray. With the `rayon` feature, over all threads of the caller's pool.
     ///
     /// # Panics
@@ -414,10 +435,51 @@ impl<S: Statistics> Job for AnyHits<'_, S> {
         let Self { bvh, rays, hits, stats } = self;
         hits.fill(false);
         let mut packets = packet::Scratch::new();
-        let packet = |goal: &mut fan::AnyHit<'_>, range: Range<usize>, stats: &mut S| {
+        let packet = |goal: &mut fan::AnyHit<'_, ()>, range: Range<usize>, stats: &mut S| {
             packet::any_hits(kernel, bvh, &rays[range.clone()], &mut goal.hits[range], &mut packets, stats);
         };
-        fan::answer(kernel, bvh, rays, SMALLEST, &mut fan::AnyHit { rays, hits }, packet, stats);
+        fan::answer(kernel, bvh, rays, SMALLEST, &mut fan::AnyHit { rays, hits, solids: () }, packet, stats);
+    }
+}
+
+struct AnyHitAmong<'a, B, S> {
+    bvh: &'a Bvh,
+    ray: &'a Ray,
+    solids: &'a mut B,
+    stats: &'a mut S,
+}
+
+impl<B: Solids, S: Statistics> Job for AnyHitAmong<'_, B, S> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> bool {
+        traversal::any_hit_among(kernel, self.bvh, self.ray, 0, self.solids, self.stats)
+    }
+}
+
+struct AnyHitsAmong<'a, B, S> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
+    hits: &'a mut [bool],
+    solids: &'a mut B,
+    stats: &'a mut S,
+}
+
+impl<B: Solids, S: Statistics> Job for AnyHitsAmong<'_, B, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) {
+        let Self { bvh, rays, hits, solids, stats } = self;
+        hits.fill(false);
+        let alone = |goal: &mut fan::AnyHit<'_, &mut B>, range: Range<usize>, stats: &mut S| {
+            for place in range {
+                let ray = &rays[place];
+                goal.hits[place] = traversal::any_hit_among(kernel, bvh, ray, place, &mut goal.solids, stats);
+            }
+        };
+        fan::answer(kernel, bvh, rays, SMALLEST, &mut fan::AnyHit { rays, hits, solids }, alone, stats);
     }
 }
 

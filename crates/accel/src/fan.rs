@@ -10,6 +10,7 @@ use crate::{
     Bvh, Statistics,
     kernel::{Ahead, Columns, FAN, Fan, Kernel, Prepared, Rows, Stack},
     node::{LEAF, Node, Note, Tree, WIDTH},
+    solid::{SolidPack, Solids},
     traversal,
 };
 use std::ops::Range;
@@ -153,6 +154,23 @@ pub trait FanGoal {
     #[inline(always)]
     fn end(&mut self, ray: FanRay, note: &Note, slots: u32, covered: &[f32; WIDTH]) -> bool {
         let _ = (ray, note, slots, covered);
+        false
+    }
+
+    /// Whether boxes inside of solids may end rays, see [`Solids`].
+    const SOLIDS: bool = false;
+
+    /// See [`Solids::pack`].
+    #[inline(always)]
+    fn pack(&self, index: u32) -> Option<&SolidPack> {
+        let _ = index;
+        None
+    }
+
+    /// See [`Solids::blocks`].
+    #[inline(always)]
+    fn solid(&mut self, ray: FanRay, index: u32, lanes: u32) -> bool {
+        let _ = (ray, index, lanes);
         false
     }
 
@@ -309,6 +327,14 @@ impl Walk {
             return true;
         }
         let node = &bvh.tree.nodes[child as usize];
+        let mut mask = mask;
+        if G::SOLIDS && node.note.index != 0 {
+            self.solids(kernel, node.note.index, mask, walk, goal);
+            mask &= self.alive;
+            if mask == 0 {
+                return true;
+            }
+        }
         let rows = kernel.rows(node, self.origin);
         let wanted = self.wanted(kernel, node, &rows, mask);
         if !G::ENDS || !self.ends(kernel, node, &rows, child, wanted, mask, walk, goal, stats) {
@@ -322,6 +348,32 @@ impl Walk {
             kernel.prefetch(if leaf { block } else { node }, size_of::<Node>());
         }
         true
+    }
+
+    /// Ends those of the rays in `rest` that boxes of pack `index` block.
+    #[inline(always)]
+    fn solids<K: Kernel, G: FanGoal>(
+        &mut self,
+        kernel: K,
+        index: u32,
+        mut rest: u32,
+        walk: usize,
+        goal: &mut G,
+    ) {
+        let Some(pack) = goal.pack(index) else { return };
+        let rows = kernel.pack_rows(pack, self.origin);
+        if self.narrow && self.envelope.mask(kernel, &rows) == 0 {
+            return;
+        }
+        while rest != 0 {
+            let r = rest.trailing_zeros() as usize % FAN;
+            rest &= rest - 1;
+            let crossed = kernel.fan_crossed(&rows, &self.fan.rays, r);
+            let ray = FanRay { index: self.first + r, walk, column: r };
+            if crossed != 0 && goal.solid(ray, index, crossed) {
+                self.alive &= !(1 << r);
+            }
+        }
     }
 
     /// Ends rays at children of a node and pushes the others; false if none of the `wanted` is small enough for any ray.
@@ -504,12 +556,27 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: FanGoal>(
 }
 
 /// Whether any triangle is hit.
-pub(crate) struct AnyHit<'a> {
+pub(crate) struct AnyHit<'a, B> {
     pub(crate) rays: &'a [Ray],
     pub(crate) hits: &'a mut [bool],
+    pub(crate) solids: B,
 }
 
-impl FanGoal for AnyHit<'_> {
+impl<B: Solids> FanGoal for AnyHit<'_, B> {
+    const SOLIDS: bool = B::ANY;
+
+    #[inline(always)]
+    fn pack(&self, index: u32) -> Option<&SolidPack> {
+        self.solids.pack(index)
+    }
+
+    #[inline(always)]
+    fn solid(&mut self, FanRay { index: place, .. }: FanRay, index: u32, lanes: u32) -> bool {
+        let hit = self.solids.blocks(&self.rays[place], place, index, lanes);
+        self.hits[place] |= hit;
+        hit
+    }
+
     #[inline(always)]
     fn leaf(&mut self, FanRay { index, .. }: FanRay, _: u32, block: &TriangleBlock, mask: BlockMask) -> bool {
         let mut hit = mask.certain != 0;

@@ -4,10 +4,11 @@ use crate::{
     Bvh, Hit, Statistics,
     kernel::{Kernel, NodeRay, Prepared},
     node::{LEAF, MAX_LEVELS, Node, Tree, WIDTH},
+    solid::Solids,
 };
 use std::ops::ControlFlow;
 use umbrage_geom::{
-    OpticalDepth, Ray, TriangleHit, intersect_triangle,
+    OpticalDepth, Ray, SlabRay, TriangleHit, intersect_triangle,
     kernel::{BlockMask, BlockRay, LANES},
     segment_hits_triangle,
 };
@@ -154,7 +155,40 @@ fn take_lane(open: &mut u8) -> usize {
 /// changed nothing on the bunny and the dragon.
 #[inline(always)]
 pub(crate) fn any_hit<K: Kernel, S: Statistics>(kernel: K, bvh: &Bvh, ray: &Ray, stats: &mut S) -> bool {
-    let Some(Prepared { node: node_ray, block }) = Prepared::new(ray) else { return false };
+    any_hit_among(kernel, bvh, ray, 0, &mut (), stats)
+}
+
+/// Whether boxes of a node, of which `entered` are the children that the ray enters, block it.
+#[inline(always)]
+fn ends_inside<K: Kernel, B: Solids>(
+    kernel: K,
+    node: &Node,
+    entered: u32,
+    ray: &Ray,
+    prepared: &NodeRay,
+    place: usize,
+    solids: &mut B,
+) -> bool {
+    let index = node.note.index;
+    if !B::ANY || index == 0 || entered == 0 {
+        return false;
+    }
+    let crossed = solids.pack(index).map_or(0, |pack| kernel.crossed(pack, prepared));
+    crossed != 0 && solids.blocks(ray, place, index, crossed)
+}
+
+/// [`any_hit`] of the ray in place `place` of a batch, which may end at `solids`.
+#[inline(always)]
+pub(crate) fn any_hit_among<K: Kernel, B: Solids, S: Statistics>(
+    kernel: K,
+    bvh: &Bvh,
+    ray: &Ray,
+    place: usize,
+    solids: &mut B,
+    stats: &mut S,
+) -> bool {
+    let Some(slab) = SlabRay::new(ray) else { return false };
+    let node_ray = NodeRay::new(slab);
     let nodes = &bvh.tree.nodes[..];
     let tfar = node_ray.slab.tfar;
     let mut stack = [(0u32, 0u32); MAX_LEVELS];
@@ -163,6 +197,11 @@ pub(crate) fn any_hit<K: Kernel, S: Statistics>(kernel: K, bvh: &Bvh, ray: &Ray,
     let mut index = 0;
     let mut mask = kernel.mask(node, &node_ray, tfar);
     stats.node(node.len() as u32);
+    if ends_inside(kernel, node, mask, ray, &node_ray, place, solids) {
+        return true;
+    }
+    // Rays that end at boxes don't need it.
+    let mut block = if B::ANY { None } else { BlockRay::new(ray) };
     loop {
         if mask == 0 {
             if depth == 0 {
@@ -177,7 +216,9 @@ pub(crate) fn any_hit<K: Kernel, S: Statistics>(kernel: K, bvh: &Bvh, ray: &Ray,
         mask &= mask - 1;
         if child & LEAF != 0 {
             let leaf = (child & !LEAF) as usize;
-            let BlockMask { certain, uncertain: mut open } = filter(kernel, bvh, leaf, &block, stats);
+            let Some(prepared) = block.or_else(|| BlockRay::new(ray)) else { return false };
+            block = Some(prepared);
+            let BlockMask { certain, uncertain: mut open } = filter(kernel, bvh, leaf, &prepared, stats);
             if certain != 0 {
                 return true;
             }
@@ -195,6 +236,9 @@ pub(crate) fn any_hit<K: Kernel, S: Statistics>(kernel: K, bvh: &Bvh, ray: &Ray,
             node = &nodes[index as usize];
             mask = kernel.mask(node, &node_ray, tfar);
             stats.node(node.len() as u32);
+            if ends_inside(kernel, node, mask, ray, &node_ray, place, solids) {
+                return true;
+            }
         }
     }
 }

@@ -261,7 +261,7 @@ impl Integrator<'_> {
             arriving.push(incoming.irradiance * cosine);
         });
         scratch.counts.shadow += scratch.rays.len() as u64;
-        self.trace(self.shadows, scratch);
+        self.trace(self.shadows, Some(number as usize), scratch);
         let mut received = Vec3::ZERO;
         for (&arriving, &passed) in scratch.arriving.iter().zip(&scratch.passed) {
             received += arriving * passed;
@@ -305,14 +305,14 @@ impl Integrator<'_> {
             scratch.rays.push(LightRay { ray, solid_angle: share / local.z.max(1e-3) });
         }
         scratch.counts.ambient += scratch.rays.len() as u64;
-        self.trace(self.ambient, scratch);
+        self.trace(self.ambient, None, scratch);
         scratch.passed.iter().sum::<f32>() / self.ao_samples as f32
     }
 
-    fn trace(&self, method: &dyn Method, scratch: &mut Scratch) {
+    fn trace(&self, method: &dyn Method, light: Option<usize>, scratch: &mut Scratch) {
         scratch.passed.clear();
         scratch.passed.resize(scratch.rays.len(), 1.0);
         let counters = self.count_cost.then_some(&mut scratch.counters);
-        method.transmittances(&scratch.rays, &mut scratch.passed, counters);
+        method.transmittances(&scratch.rays, light, &mut scratch.passed, counters);
     }
 }

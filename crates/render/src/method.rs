@@ -27,8 +27,15 @@ pub trait Method: Sync {
     /// The name users know it by.
     fn name(&self) -> &'static str;
 
-    /// Writes the fraction of light that passes along each ray; counts into `counters` if there are any.
-    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>);
+    /// Writes the fraction of light that passes along each ray; counts into `counters` if there are any. All go to the light of
+    /// index `light`, or to the sky.
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        light: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    );
 
     /// Writes how open the sky is over each receiver, 1 is open: for methods that choose ambient rays themselves. The
     /// default, `false`, asks for [`Self::transmittances`] instead.
@@ -49,7 +56,13 @@ impl Method for SingleRays<'_> {
         self.name
     }
 
-    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        _: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    ) {
         let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
         match counters {
             None => self.geometry.transmittances(&rays, passed, &mut ()),
@@ -98,7 +111,13 @@ impl Method for PrefilteredRays<'_> {
         PREFILTER
     }
 
-    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        _: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    ) {
         // Few at a time, so that no memory is asked for.
         let mut cones = [ConeRay { ray: Ray::new([0.0; 3], [0.0; 3]), solid_angle: 0.0 }; 64];
         let mut counters = counters;
@@ -208,8 +227,14 @@ impl Method for Masks<'_> {
         self.rays.name
     }
 
-    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
-        self.rays.transmittances(rays, passed, counters);
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        light: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    ) {
+        self.rays.transmittances(rays, light, passed, counters);
     }
 
     fn opennesses(&self, receivers: &[Receiver], open: &mut [f32]) -> bool {

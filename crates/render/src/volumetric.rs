@@ -131,19 +131,25 @@ impl Method for Volumetric<'_> {
         self.name
     }
 
-    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        light: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    ) {
         match (self.structure.get_or_init(|| self.build()), self.way) {
             (Structure::Kd(kd), Way::Kd(order, occluders)) => {
                 let mut scratch = match self.take() {
                     Some(Kept::Kd(scratch)) => scratch,
                     _ => Box::default(),
                 };
-                let query = Query::default().with_order(order).with_occluders(occluders);
+                let query = Query::default().with_order(order).with_occluders(occluders).with_light(light);
                 let mut counted = occluders::Counters::default();
-                for (light, out) in rays.iter().zip(passed) {
+                for (to_light, out) in rays.iter().zip(passed) {
                     let hit = match counters {
-                        Some(_) => kd.any_hit_with(&light.ray, &query, &mut scratch, &mut counted),
-                        None => kd.any_hit(&light.ray, &query, &mut scratch),
+                        Some(_) => kd.any_hit_with(&to_light.ray, &query, &mut scratch, &mut counted),
+                        None => kd.any_hit(&to_light.ray, &query, &mut scratch),
                     };
                     *out = fraction(hit);
                 }
@@ -162,19 +168,17 @@ impl Method for Volumetric<'_> {
                 match counters {
                     Some(counters) => {
                         let mut counted = SolidCounters::default();
-                        for (light, out) in rays.iter().zip(passed) {
-                            let (ray, ends) = (&light.ray, Ends::Unknown);
+                        for (to_light, out) in rays.iter().zip(passed) {
+                            let (ray, ends) = (&to_light.ray, Ends::Unknown);
                             *out =
-                                fraction(solid.any_hit_counted(ray, ends, None, &mut scratch, &mut counted));
+                                fraction(solid.any_hit_counted(ray, ends, light, &mut scratch, &mut counted));
                         }
-                        counters.nodes += counted.nodes;
-                        // A leaf is one test of up to eight triangles.
-                        counters.triangle_tests += counted.leaves;
+                        *counters += counted.walk;
                     }
                     None => {
                         let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
                         let mut hits = vec![false; rays.len()];
-                        solid.any_hits(&rays, &mut hits, Ends::Unknown, None, &mut scratch);
+                        solid.any_hits(&rays, &mut hits, Ends::Unknown, light, &mut scratch);
                         hits.iter().zip(passed).for_each(|(&hit, out)| *out = fraction(hit));
                     }
                 }
@@ -182,10 +186,10 @@ impl Method for Volumetric<'_> {
             }
             _ => {
                 let mut counters = counters;
-                for (light, out) in rays.iter().zip(passed) {
+                for (to_light, out) in rays.iter().zip(passed) {
                     *out = match counters.as_deref_mut() {
-                        Some(counters) => self.geometry.transmittance(&light.ray, counters),
-                        None => self.geometry.transmittance(&light.ray, &mut ()),
+                        Some(counters) => self.geometry.transmittance(&to_light.ray, counters),
+                        None => self.geometry.transmittance(&to_light.ray, &mut ()),
                     };
                 }
             }

@@ -8,7 +8,10 @@ pub(crate) use scalar::Scalar;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use umbrage_geom::kernel::x86::Avx2;
 
-use crate::node::{MAX_LEVELS, Node, Note, WIDTH};
+use crate::{
+    node::{MAX_LEVELS, Node, Note, WIDTH},
+    solid::SolidPack,
+};
 use umbrage_geom::{
     Ray, SlabRay,
     kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
@@ -66,6 +69,13 @@ pub(crate) struct Columns(pub(crate) [u32; WIDTH]);
 impl Columns {
     /// No ray enters.
     pub(crate) const NONE: Self = Self([0; WIDTH]);
+}
+
+/// Later start and earlier end of a segment, given as slab tests have them: what scaling rounded off, and what it flushed to 0.
+#[inline(always)]
+fn surely(start: f32, end: f32) -> [f32; 2] {
+    let start = start * (1.0 + 2f32.powi(-19));
+    [if start > 2f32.powi(-100) { start } else { 2f32.powi(-100) }, end * (1.0 - 2f32.powi(-19))]
 }
 
 /// What both terms of the covered part of a way are raised by, so that a way of length 0 is covered.
@@ -133,6 +143,9 @@ pub(crate) trait Kernel: Copy {
     /// [`Self::mask`], and where the ray enters: defined for children in the mask.
     fn entries(self, node: &Node, ray: &NodeRay, tfar: f32, entries: &mut [f32; WIDTH]) -> u32;
 
+    /// Boxes that the open segment surely has a point strictly inside of, a bit each: [`SlabRay::surely_crosses`].
+    fn crossed(self, pack: &SolidPack, ray: &NodeRay) -> u32;
+
     /// See [`umbrage_geom::kernel`].
     fn filter(self, block: &TriangleBlock, ray: &BlockRay) -> BlockMask;
 
@@ -144,6 +157,14 @@ pub(crate) trait Kernel: Copy {
 
     /// Bit `i` is set when child `i` reaches into the box `[low, high]`; of no meaning in empty slots.
     fn overlap(self, rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32;
+
+    /// The boxes of `pack`, moved so that `origin` is at 0.
+    fn pack_rows(self, pack: &SolidPack, origin: [f32; 3]) -> Rows;
+
+    /// [`Self::crossed`] for ray `r` of a fan.
+    ///
+    /// Reciprocals and ends of [`FanRays`] are rounded as those of [`SlabRay`] are, and used the other way round here.
+    fn fan_crossed(self, rows: &Rows, rays: &FanRays<FAN>, r: usize) -> u32;
 
     /// Asks for the cache lines of `bytes` bytes from `target`, which may be any address.
     fn prefetch(self, target: *const u8, bytes: usize);
@@ -324,6 +345,55 @@ mod tests {
                 prop_assert_eq!(avx2.enter_or_end(&rows, &same, &rays, r, limit, &mut others, &mut part), ends);
                 prop_assert_eq!(others, columns);
                 prop_assert!(ends == 0 || part.map(f32::to_bits) == covered.map(f32::to_bits));
+            }
+        }
+
+        #[test]
+        fn crossed_boxes_are_crossed(
+            o in [-9i64..10, -9i64..10, -9i64..10], d in [-9i64..10, -9i64..10, -9i64..10],
+            boxes in prop::collection::vec(([-9i64..10, -9i64..10, -9i64..10], [0i64..7, 0i64..7, 0i64..7]), 1..=8),
+            ends in prop::sample::select(vec![(0i64, 8), (0, 12), (3, 8), (0, 1 << 20)]),
+            shift in -60i32..60, stretch in -60i32..60,
+        ) {
+            prop_assume!(d != [0; 3]);
+            let (unit, length) = (2f32.powi(shift), 2f32.powi(stretch));
+            let point = |p: [i64; 3]| p.map(|x| x as f32 * unit);
+            let origin = point(o);
+            // Parameters of ends are in eighths of the way to `o + d`.
+            let end = |t: i64| t as f32 / 8.0 / length;
+            let direction = d.map(|x| x as f32 * unit * length);
+            let ray = Ray { origin: origin.into(), direction: direction.into(), tnear: end(ends.0), tfar: end(ends.1) };
+            let mut pack = SolidPack::EMPTY;
+            let mut truth = 0;
+            for (i, &(low, size)) in boxes.iter().enumerate() {
+                let high = [0, 1, 2].map(|axis| low[axis] + size[axis]);
+                pack.set(i, &Aabb { min: point(low).into(), max: point(high).into() });
+                // Bounds of `t` over the open box as fractions, denominators positive.
+                let (mut bounds, mut inside) = (vec![((ends.0, 8), (ends.1, 8))], true);
+                for axis in 0..3 {
+                    match d[axis] {
+                        0 => inside &= low[axis] < o[axis] && o[axis] < high[axis],
+                        s if s > 0 => bounds.push(((low[axis] - o[axis], s), (high[axis] - o[axis], s))),
+                        s => bounds.push(((o[axis] - high[axis], -s), (o[axis] - low[axis], -s))),
+                    }
+                }
+                let before = |a: (i64, i64), b: (i64, i64)| a.0 * b.1 < b.0 * a.1;
+                inside &= bounds.iter().all(|a| bounds.iter().all(|b| before(a.0, b.1)));
+                truth |= u32::from(inside) << i;
+            }
+            let mut rays = FanRays::<FAN>::default();
+            let r = 5;
+            let fits = rays.prepare(0, &[ray; 16]) != 0;
+            let rows = Scalar.pack_rows(&pack, origin);
+            // Nothing here is closer than a unit of the grid: what is crossed is crossed surely.
+            let node_ray = NodeRay::new(SlabRay::new(&ray).unwrap());
+            prop_assert_eq!(Scalar.crossed(&pack, &node_ray), truth);
+            prop_assert!(!fits || Scalar.fan_crossed(&rows, &rays, r) == truth);
+            #[cfg(target_arch = "x86_64")]
+            if let Some(avx2) = Avx2::detect() {
+                prop_assert_eq!(avx2.crossed(&pack, &node_ray), truth);
+                let rows = avx2.pack_rows(&pack, origin);
+                prop_assert!(!fits || avx2.fan_crossed(&rows, &rays, r) == truth);
             }
         }
     }

@@ -1,7 +1,10 @@
 //! The oracle: plain operations, one child at a time.
 
-use super::{Ahead, Columns, FAN, Fan, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack};
-use crate::node::{Node, Note, WIDTH};
+use super::{Ahead, Columns, FAN, Fan, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack, surely};
+use crate::{
+    node::{Node, Note, WIDTH},
+    solid::SolidPack,
+};
 use umbrage_geom::kernel::{
     BlockMask, BlockRay, TriangleBlock,
     fan::{self, FanRays},
@@ -33,6 +36,33 @@ impl Kernel for Scalar {
             }
         }
         (0..WIDTH).fold(0, |mask, i| mask | u32::from(entries[i] <= exits[i]) << i) & node.used
+    }
+
+    #[inline]
+    fn crossed(self, pack: &SolidPack, ray: &NodeRay) -> u32 {
+        let crosses = |i: &usize| ray.slab.surely_crosses(&pack.get(*i));
+        (0..WIDTH).filter(crosses).fold(0, |mask, i| mask | 1 << i)
+    }
+
+    #[inline]
+    fn pack_rows(self, pack: &SolidPack, origin: [f32; 3]) -> Rows {
+        Rows([0, 1, 2, 3, 4, 5].map(|row| pack.rows[row].map(|plane| plane - origin[row / 2])))
+    }
+
+    #[inline]
+    fn fan_crossed(self, rows: &Rows, rays: &FanRays<FAN>, r: usize) -> u32 {
+        let [start, end] = surely(rays.slab_near[r], rays.slab_far[r]);
+        let crosses = |i: &usize| {
+            let (mut entries, mut exit) = ([start, 0.0, 0.0, 0.0], end);
+            for axis in 0..3 {
+                let row = 2 * axis + (rays.negative[axis][r] as usize & 1);
+                entries[axis + 1] = rows.0[row][*i] * rays.inv_far[axis][r];
+                exit = (rows.0[row ^ 1][*i] * rays.inv_near[axis][r]).min(exit);
+            }
+            // False for NaN.
+            entries.iter().all(|&entry| entry < exit)
+        };
+        (0..WIDTH).filter(crosses).fold(0, |mask, i| mask | 1 << i)
     }
 
     #[inline]

@@ -1,7 +1,10 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::{Ahead, Avx2, Columns, FAN, Fan, Job, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack};
-use crate::node::{Node, Note, WIDTH};
+use super::{Ahead, Avx2, Columns, FAN, Fan, Job, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack, surely};
+use crate::{
+    node::{Node, Note, WIDTH},
+    solid::SolidPack,
+};
 use std::arch::x86_64::*;
 use umbrage_geom::kernel::{
     BlockMask, BlockRay, TriangleBlock,
@@ -73,6 +76,64 @@ fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
         exit = _mm256_min_ps(_mm256_mul_ps(far, _mm256_set1_ps(ray.slab.inv_far[axis])), exit);
     }
     (entry, exit)
+}
+
+/// Row `row` of a pack.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn pack_row(pack: &SolidPack, row: usize) -> __m256 {
+    // SAFETY: rows are eight floats, aligned as the pack is.
+    unsafe { _mm256_load_ps(pack.rows[row % 6].as_ptr()) }
+}
+
+/// Lanes of which the ends of the segment and the planes of all axes leave something.
+#[inline]
+#[target_feature(enable = "avx2")]
+fn sure([start, end]: [f32; 2], entries: [__m256; 3], exits: [__m256; 3]) -> u32 {
+    let exit = _mm256_min_ps(_mm256_min_ps(exits[0], exits[1]), _mm256_min_ps(exits[2], _mm256_set1_ps(end)));
+    // False for NaN, which only entries can be.
+    let mut all = _mm256_cmp_ps::<_CMP_LT_OQ>(_mm256_set1_ps(start), exit);
+    for entry in entries {
+        all = _mm256_and_ps(all, _mm256_cmp_ps::<_CMP_LT_OQ>(entry, exit));
+    }
+    _mm256_movemask_ps(all) as u32
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn crossed(pack: &SolidPack, ray: &NodeRay) -> u32 {
+    let (mut entries, mut exits) = ([_mm256_setzero_ps(); 3], [_mm256_setzero_ps(); 3]);
+    for axis in 0..3 {
+        let row = ray.near_row[axis];
+        let near = _mm256_sub_ps(pack_row(pack, row), _mm256_set1_ps(ray.slab.origin_near[axis]));
+        let far = _mm256_sub_ps(pack_row(pack, row ^ 1), _mm256_set1_ps(ray.slab.origin_far[axis]));
+        entries[axis] = _mm256_mul_ps(near, _mm256_set1_ps(ray.slab.inv_far[axis]));
+        exits[axis] = _mm256_mul_ps(far, _mm256_set1_ps(ray.slab.inv_near[axis]));
+    }
+    sure(surely(ray.slab.tnear, ray.slab.tfar), entries, exits)
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn pack_rows(pack: &SolidPack, origin: [f32; 3]) -> Rows {
+    let mut rows = Rows([[0.0; WIDTH]; 6]);
+    for (i, row) in rows.0.iter_mut().enumerate() {
+        let relative = _mm256_sub_ps(pack_row(pack, i), _mm256_set1_ps(origin[i / 2]));
+        // SAFETY: a row is eight floats.
+        unsafe { _mm256_storeu_ps(row.as_mut_ptr(), relative) };
+    }
+    rows
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn fan_crossed(rows: &Rows, rays: &FanRays<FAN>, r: usize) -> u32 {
+    let (mut entries, mut exits) = ([_mm256_setzero_ps(); 3], [_mm256_setzero_ps(); 3]);
+    for (axis, [near, far]) in ends_of(rows, rays, r).into_iter().enumerate() {
+        entries[axis] = _mm256_mul_ps(near, _mm256_set1_ps(rays.inv_far[axis][r]));
+        exits[axis] = _mm256_mul_ps(far, _mm256_set1_ps(rays.inv_near[axis][r]));
+    }
+    sure(surely(rays.slab_near[r], rays.slab_far[r]), entries, exits)
 }
 
 #[inline]
@@ -358,6 +419,24 @@ impl Kernel for Avx2 {
             _mm256_storeu_ps(entries.as_mut_ptr(), entry);
             _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32 & node.used
         }
+    }
+
+    #[inline(always)]
+    fn crossed(self, pack: &SolidPack, ray: &NodeRay) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { crossed(pack, ray) }
+    }
+
+    #[inline(always)]
+    fn pack_rows(self, pack: &SolidPack, origin: [f32; 3]) -> Rows {
+        // SAFETY: `self` proves the target features.
+        unsafe { pack_rows(pack, origin) }
+    }
+
+    #[inline(always)]
+    fn fan_crossed(self, rows: &Rows, rays: &FanRays<FAN>, r: usize) -> u32 {
+        // SAFETY: `self` proves the target features.
+        unsafe { fan_crossed(rows, rays, r % FAN) }
     }
 
     #[inline(always)]

@@ -7,7 +7,7 @@ use super::{
 use umbrage_geom::{Aabb, Ray, SlabRay, glam::Vec3, sampling::RandomStream};
 
 /// Candidates that are grown.
-const CANDIDATES: usize = 192;
+const CANDIDATES: usize = 512;
 
 /// Lines that candidates are judged by.
 const LINES: usize = 2048;
@@ -104,7 +104,7 @@ fn cubes(voxels: &Voxels) -> Vec<u8> {
 fn maximal_boxes(voxels: &Voxels) -> Vec<Aabb> {
     let sums = Sums::new(voxels);
     let sides = cubes(voxels);
-    let mut order: Vec<u32> = (0..sides.len() as u32).filter(|&v| sides[v as usize] >= 2).collect();
+    let mut order: Vec<u32> = (0..sides.len() as u32).filter(|&v| sides[v as usize] > 0).collect();
     order.sort_by_key(|&v| std::cmp::Reverse(sides[v as usize]));
     let mut covered = vec![false; sides.len()];
     let mut boxes: Vec<Aabb> = Vec::new();
@@ -130,19 +130,14 @@ fn maximal_boxes(voxels: &Voxels) -> Vec<Aabb> {
                     .fold(false, |any, face| sums.push(&mut low, &mut high, face / 2, face % 2 == 0, 1) | any)
                 {
                 }
-                // Seeds in its core would grow to much the same box.
-                let core = [0, 1, 2].map(|axis| {
-                    let rim = (high[axis] - low[axis]) / 5;
-                    (low[axis] + rim, high[axis] - rim)
-                });
-                for k in core[2].0..core[2].1 {
-                    for j in core[1].0..core[1].1 {
-                        for i in core[0].0..core[0].1 {
+                // Seeds in it would grow to much the same box.
+                for k in low[2]..high[2] {
+                    for j in low[1]..high[1] {
+                        for i in low[0]..high[0] {
                             covered[voxels.index([i, j, k])] = true;
                         }
                     }
                 }
-                covered[voxels.index(middle)] = true;
             }
             boxes.push(voxels.aabb(low, high));
         }
@@ -154,8 +149,8 @@ fn maximal_boxes(voxels: &Voxels) -> Vec<Aabb> {
     boxes
 }
 
-/// Random lines through `bounds`, by chords of the sphere around them.
-fn lines(bounds: &Aabb) -> Vec<SlabRay> {
+/// At most `count` random lines through `bounds`, by chords of the sphere around them.
+pub(crate) fn lines(bounds: &Aabb, count: usize) -> Vec<SlabRay> {
     let mut random = RandomStream::new(5, 0);
     let (center, radius) = (bounds.center(), 0.5 * bounds.diagonal());
     let mut on_sphere = || {
@@ -165,17 +160,17 @@ fn lines(bounds: &Aabb) -> Vec<SlabRay> {
     };
     let slabs = std::iter::repeat_with(|| SlabRay::new(&Ray::between(on_sphere(), on_sphere())));
     slabs
-        .take(3 * LINES)
+        .take(3 * count)
         .flatten()
         .filter(|slab| slab.entry(bounds, slab.tfar).is_some())
-        .take(LINES)
+        .take(count)
         .collect()
 }
 
-/// At most `count` boxes, greedily those that stop most lines not stopped so far; none that adds less than `least` of them.
-pub(crate) fn carve(voxels: &Voxels, bounds: &Aabb, count: usize, least: f32) -> Carved {
+/// At most `count` boxes, greedily those that stop most lines not stopped so far.
+pub(crate) fn carve(voxels: &Voxels, bounds: &Aabb, count: usize) -> Carved {
     let candidates = maximal_boxes(voxels);
-    let lines = lines(bounds);
+    let lines = lines(bounds, LINES);
     if candidates.is_empty() || lines.is_empty() {
         return Carved::default();
     }
@@ -207,7 +202,7 @@ pub(crate) fn carve(voxels: &Voxels, bounds: &Aabb, count: usize, least: f32) ->
                 }
             }
         }
-        if best.1 == usize::MAX || (best.0 as f32) < least * lines.len() as f32 {
+        if best.1 == usize::MAX {
             break;
         }
         stopped += best.0;

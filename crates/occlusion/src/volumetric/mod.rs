@@ -38,4 +38,4 @@ pub use ends::Ends;
 pub use kd::{KdVolumetric, KdVolumetricOptions, Query, Scratch};
 pub use solids::{Generator, Object, SolidOptions, Solids};
 pub use statistics::{Counters, Statistics};
-pub use wide::{SolidBvh, SolidBvhOptions, SolidCounters, SolidScratch};
+pub use wide::{Forecast, SolidBvh, SolidBvhOptions, SolidCounters, SolidScratch};

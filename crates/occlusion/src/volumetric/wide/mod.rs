@@ -1,29 +1,30 @@
 //! Solid boxes in a wide bounding volume hierarchy.
 //!
 //! Djeu11, section 3.9 says that volumetric occluders don't apply to bounding volume hierarchies, which have no empty
-//! nodes. But the slab test of a wide node covers eight boxes whether they are children or not: boxes from inside of solids in
-//! some of the slots cost no test of their own, and those near the root are met before any triangle.
+//! nodes. But a node can have boxes from inside of solids beside its children: eight cost one more step of SIMD, and those near
+//! the root are met before any triangle.
 //!
-//! Here: the structure and its queries. Not here: where boxes come from (`voxels.rs`, `carve.rs`), their places (`build.rs`).
+//! Here: the structure and its queries. Not here: where boxes come from (`voxels.rs`, `carve.rs`), their places (`places.rs`),
+//! walking (`umbrage-accel`).
 
-mod build;
-mod fan;
-mod kernel;
-mod node;
-mod walk;
+mod forecast;
+mod places;
+
+pub use forecast::Forecast;
 
 use super::{Ends, Object, SolidOptions, Solids, carve::carve, ends, voxels::Voxels};
-use kernel::{Job, Kernel};
-use node::{Node, WIDTH};
 use std::sync::Arc;
-use umbrage_accel::Bvh;
+use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, Note, SolidPack};
 use umbrage_geom::{Aabb, Ray, SlabRay};
 
-/// Slots of the root for what each light met last.
-const RESERVED: usize = 3;
+/// Boxes of a pack.
+const LANES: usize = SolidPack::LANES;
 
 /// Most boxes of a generator.
-const MOST_BOXES: usize = 48;
+const MOST_BOXES: usize = 128;
+
+/// Most voxels along the longest side of a generator.
+const MOST_VOXELS: f64 = 144.0;
 
 /// Options of [`SolidBvh::build`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -50,90 +51,104 @@ struct Interior {
     guards: Vec<Aabb>,
     /// Share of the lines through its bounds that its boxes stop.
     coverage: f32,
+    /// How many triangles its surface has, and their area.
+    triangles: u32,
+    area: f64,
+}
+
+/// Boxes with their indices.
+#[derive(Clone, Copy, Debug)]
+struct Pack {
+    boxes: SolidPack,
+    ids: [u32; LANES],
+    /// Index of the first pack on the way from the root to this one.
+    top: u32,
+}
+
+impl Pack {
+    const EMPTY: Self = Self { boxes: SolidPack::EMPTY, ids: [u32::MAX; LANES], top: 0 };
+
+    fn set(&mut self, lane: usize, aabb: &Aabb, solid: u32) {
+        self.boxes.set(lane, aabb);
+        self.ids[lane] = solid;
+    }
 }
 
 /// A wide hierarchy whose any-hit meets boxes inside of solids early; exact.
 #[derive(Clone, Debug)]
 pub struct SolidBvh {
+    /// Notes of nodes are indices of packs, from 1.
     bvh: Arc<Bvh>,
-    nodes: Vec<Node>,
+    packs: Vec<Pack>,
     interiors: Vec<Interior>,
     solids: Vec<Aabb>,
     /// Interior that each box belongs to.
     owners: Vec<u32>,
-    simd: bool,
 }
 
-/// What a thread keeps from ray to ray: for each light the root with the boxes that ended rays last, and room for fans.
+/// What a thread keeps from ray to ray: for each light the boxes that ended rays last.
 ///
 /// It belongs to one [`SolidBvh`]: with another, remembered boxes would be wrong.
 #[derive(Clone, Debug)]
 pub struct SolidScratch {
-    lights: Vec<LightRoot>,
-    fan: Box<fan::Fan>,
+    lights: Vec<Light>,
 }
 
+/// By pack, for the first ones on ways from the root.
+type Light = Vec<Option<Box<LightPack>>>;
+
+/// A pack as one light has it: whatever ended rays last, in the pack or below, takes the places of what wasn't used for longest.
 #[derive(Clone, Debug)]
-struct LightRoot {
-    node: Node,
-    next: usize,
+struct LightPack {
+    pack: Pack,
+    /// When each lane was last used.
+    used: [u32; LANES],
+    clock: u32,
 }
 
-impl LightRoot {
-    /// Remembers a box in the place of the oldest.
-    #[inline]
+impl LightPack {
+    fn new(pack: Pack) -> Self {
+        Self { pack, used: [0; LANES], clock: 0 }
+    }
+
+    #[inline(always)]
+    fn touch(&mut self, lane: usize) {
+        // A wrap of the clock makes the order wrong for a while, which costs time only.
+        self.clock = self.clock.wrapping_add(1);
+        self.used[lane] = self.clock;
+    }
+
+    /// Remembers a box in the place of the one that wasn't used for longest. It is not among them: rays would have met it.
+    #[inline(always)]
     fn remember(&mut self, aabb: &Aabb, solid: u32) {
-        let place = WIDTH - 1 - self.next;
-        self.node.set_solid(place, aabb, solid);
-        self.next = (self.next + 1) % RESERVED;
+        let mut oldest = 0;
+        for lane in 1..LANES {
+            oldest = if self.used[lane] < self.used[oldest] { lane } else { oldest };
+        }
+        self.pack.set(oldest, aabb, solid);
+        self.touch(oldest);
     }
 }
 
 /// Work of a walk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SolidCounters {
-    /// Nodes visited.
-    pub nodes: u64,
-    /// Leaves visited.
-    pub leaves: u64,
+    /// Of the hierarchy; tests of solid boxes aside.
+    pub walk: accel::Counters,
     /// Rays that ended at a solid box.
     pub solid_hits: u64,
-    /// Of these at the root, where a light remembered the box.
-    pub remembered_hits: u64,
-}
-
-/// Watches walks; `()` does nothing.
-trait Watch {
-    fn node(&mut self) {}
-    fn leaf(&mut self) {}
-    fn solid(&mut self, _at_root: bool) {}
-}
-
-impl Watch for () {}
-
-impl Watch for SolidCounters {
-    fn node(&mut self) {
-        self.nodes += 1;
-    }
-
-    fn leaf(&mut self) {
-        self.leaves += 1;
-    }
-
-    fn solid(&mut self, at_root: bool) {
-        self.solid_hits += 1;
-        self.remembered_hits += u64::from(at_root);
-    }
+    /// Of these among the boxes that a light has met before, or that were there in their places.
+    pub first_hits: u64,
 }
 
 impl SolidBvh {
-    /// Finds generators among `objects` (the whole mesh if there are none) and puts boxes from inside of them into a copy of
-    /// the nodes of `bvh`, which must be that of the mesh. Leaves are shared.
+    /// Finds generators among `objects` (the whole mesh if there are none) and puts boxes from inside of them into `bvh`, which
+    /// must be that of the mesh. It is copied if others use it too, and if there are any boxes.
     ///
     /// # Panics
     /// If a triangle names a vertex that does not exist, or an object triangles that don't.
     pub fn build(
-        bvh: Arc<Bvh>,
+        mut bvh: Arc<Bvh>,
         positions: &[[f32; 3]],
         triangles: &[[u32; 3]],
         objects: &[Object],
@@ -144,38 +159,58 @@ impl SolidBvh {
         for (index, generator) in found.generators().iter().enumerate() {
             let surface = found.surface(index, positions, triangles);
             // Boxes much larger than triangles are what counts, and about that many fit along a side.
-            let resolution = (f64::from(generator.triangles).sqrt() / 4.0).clamp(24.0, 96.0) as usize;
+            let resolution = (f64::from(generator.triangles).sqrt() / 4.0).clamp(24.0, MOST_VOXELS) as usize;
             let winding = |point| surface.winding_number(point);
             let Some(voxels) =
                 Voxels::build(&generator.bounds, resolution, &mut surface.triangles(), &winding)
             else {
                 continue;
             };
-            let carved = carve(&voxels, &generator.bounds, MOST_BOXES, 0.002);
+            let carved = carve(&voxels, &generator.bounds, MOST_BOXES);
             if carved.boxes.is_empty() {
                 continue;
             }
             owners.extend(std::iter::repeat_n(interiors.len() as u32, carved.boxes.len()));
             solids.extend(carved.boxes);
             let guards = surface.guards().to_vec();
-            interiors.push(Interior { bounds: generator.bounds, voxels, guards, coverage: carved.coverage });
+            interiors.push(Interior {
+                bounds: generator.bounds,
+                voxels,
+                guards,
+                coverage: carved.coverage,
+                triangles: generator.triangles,
+                area: forecast::area(surface.triangles()),
+            });
         }
-        let nodes = build::build(&bvh, &solids, if solids.is_empty() { 0 } else { RESERVED });
-        Self { bvh, nodes, interiors, solids, owners, simd: true }
+        let mut packs = Vec::new();
+        if !solids.is_empty() {
+            let places = places::choose(&bvh, &solids);
+            let owned = Arc::make_mut(&mut bvh);
+            (0..owned.view().node_count() as u32).for_each(|node| owned.set_note(node, Note::default()));
+            for place in places {
+                let mut pack = Pack { top: place.top, ..Pack::EMPTY };
+                let boxes = place.solids.iter().enumerate();
+                boxes.for_each(|(lane, &solid)| pack.set(lane, &solids[solid as usize], solid));
+                packs.push(pack);
+                owned.set_note(place.node, Note { index: packs.len() as u32, ..Note::default() });
+            }
+        }
+        Self { bvh, packs, interiors, solids, owners }
     }
 
     /// Whether the open segment meets any triangle.
     ///
     /// `light` names the light that the ray goes to, if any: rays to one light are likely to end at the same boxes.
     pub fn any_hit(&self, ray: &Ray, ends: Ends, light: Option<usize>, scratch: &mut SolidScratch) -> bool {
-        let root =
-            light.filter(|_| !self.solids.is_empty()).map(|light| self.root(&mut scratch.lights, light));
-        kernel::run(self.simd, AnyHit { this: self, ray, ends, root, watch: &mut () })
+        if self.packs.is_empty() {
+            return self.bvh.any_hit(ray);
+        }
+        self.bvh.any_hit_among(ray, &mut self.search(ends, light, scratch, &mut ()), &mut ())
     }
 
     /// What a thread needs to trace rays.
     pub fn scratch(&self) -> SolidScratch {
-        SolidScratch { lights: Vec::new(), fan: Box::new(fan::Fan::new()) }
+        SolidScratch { lights: Vec::new() }
     }
 
     /// [`Self::any_hit`], counted.
@@ -187,12 +222,18 @@ impl SolidBvh {
         scratch: &mut SolidScratch,
         counters: &mut SolidCounters,
     ) -> bool {
-        let root =
-            light.filter(|_| !self.solids.is_empty()).map(|light| self.root(&mut scratch.lights, light));
-        kernel::run(self.simd, AnyHit { this: self, ray, ends, root, watch: counters })
+        let mut walk = accel::Counters::default();
+        let hit = if self.packs.is_empty() {
+            self.bvh.any_hit_with(ray, &mut walk)
+        } else {
+            self.bvh.any_hit_among(ray, &mut self.search(ends, light, scratch, counters), &mut walk)
+        };
+        counters.walk += walk;
+        hit
     }
 
-    /// [`Self::any_hit`] of rays to one light. Runs of rays that share an origin walk together, which is faster.
+    /// [`Self::any_hit`] of rays to one light. Runs of rays that share an origin walk together, which is faster, and several of
+    /// these take turns: many rays a call are best.
     ///
     /// # Panics
     /// If the slices differ in length.
@@ -204,18 +245,27 @@ impl SolidBvh {
         light: Option<usize>,
         scratch: &mut SolidScratch,
     ) {
-        assert_eq!(rays.len(), hits.len(), "as many answers as rays");
-        let SolidScratch { lights, fan } = scratch;
-        let root = light.filter(|_| !self.solids.is_empty()).map(|light| self.root(lights, light));
-        kernel::run(self.simd, AnyHits { this: self, rays, hits, ends, root, fan });
+        if self.packs.is_empty() {
+            self.bvh.any_hits_with(rays, hits, &mut ());
+        } else {
+            self.bvh.any_hits_among(rays, hits, &mut self.search(ends, light, scratch, &mut ()), &mut ());
+        }
     }
 
-    /// The root as `light` sees it.
-    fn root<'a>(&self, lights: &'a mut Vec<LightRoot>, light: usize) -> &'a mut LightRoot {
-        if lights.len() <= light {
-            lights.resize(light + 1, LightRoot { node: self.nodes[0], next: 0 });
+    fn search<'a, W: Watch>(
+        &'a self,
+        ends: Ends,
+        light: Option<usize>,
+        scratch: &'a mut SolidScratch,
+        watch: &'a mut W,
+    ) -> Search<'a, W> {
+        let lights = &mut scratch.lights;
+        if let Some(light) = light
+            && lights.len() <= light
+        {
+            lights.resize_with(light + 1, || vec![None; self.packs.len()]);
         }
-        &mut lights[light]
+        Search { this: self, ends, light: light.map(|light| &mut lights[light]), watch }
     }
 
     /// Whether all points of `region`, such as a light, are surely outside of every generator, so that segments to it have
@@ -226,9 +276,9 @@ impl SolidBvh {
 
     /// Whether `solid`, which the segment crosses, blocks it: the endpoint rule, and the guards.
     #[inline]
-    fn vouches(&self, solid: u32, ray: &Ray, slab: &SlabRay, ends: Ends) -> bool {
+    fn vouches(&self, solid: u32, ray: &Ray, ends: Ends) -> bool {
         let interior = &self.interiors[self.owners[solid as usize] as usize];
-        interior.guards.iter().all(|guard| slab.entry(guard, slab.tfar).is_none())
+        (interior.guards.is_empty() || interior.avoids_guards(ray))
             && (ends == Ends::Outside || interior.has_end_outside(ray))
     }
 
@@ -242,6 +292,11 @@ impl SolidBvh {
         &self.solids
     }
 
+    /// Nodes that have boxes.
+    pub fn pack_count(&self) -> usize {
+        self.packs.len()
+    }
+
     /// Share of random lines through the bounds of generator `index` that its boxes stop, before any triangle is asked.
     ///
     /// # Panics
@@ -250,21 +305,24 @@ impl SolidBvh {
         self.interiors[index].coverage
     }
 
-    /// The hierarchy that leaves are shared with.
+    /// The hierarchy.
     pub fn bvh(&self) -> &Arc<Bvh> {
         &self.bvh
     }
 
-    /// Bytes beside those of [`Self::bvh`].
+    /// Bytes that all of it holds.
     pub fn bytes(&self) -> usize {
         let voxels: usize = self.interiors.iter().map(|interior| interior.voxels.bytes()).sum();
-        size_of_val(&self.nodes[..]) + size_of_val(&self.solids[..]) + size_of_val(&self.owners[..]) + voxels
+        let boxes = size_of_val(&self.solids[..]) + size_of_val(&self.owners[..]);
+        self.bvh.bytes() + size_of_val(&self.packs[..]) + boxes + voxels
     }
 
-    /// The same on portable code, or on the best instructions of the processor. Answers are the same.
-    #[must_use]
-    pub fn with_simd(self, simd: bool) -> Self {
-        Self { simd, ..self }
+    /// The same on another back end. Answers are the same.
+    ///
+    /// # Errors
+    /// [`BuildError::BackEnd`] if this processor lacks it.
+    pub fn with_back_end(self, back_end: BackEnd) -> Result<Self, BuildError> {
+        Ok(Self { bvh: Arc::new(Arc::unwrap_or_clone(self.bvh).with_back_end(back_end)?), ..self })
     }
 }
 
@@ -282,49 +340,83 @@ impl Interior {
                 || self.voxels.is_outside(point, margin)
         })
     }
-}
 
-struct AnyHit<'a, W> {
-    this: &'a SolidBvh,
-    ray: &'a Ray,
-    ends: Ends,
-    root: Option<&'a mut LightRoot>,
-    watch: &'a mut W,
-}
-
-impl<W: Watch> Job for AnyHit<'_, W> {
-    type Output = bool;
-
-    #[inline(always)]
-    fn run<K: Kernel>(mut self, kernel: K) -> bool {
-        let Some(prepared) = walk::Prepared::new(self.ray) else { return false };
-        walk::any_hit(kernel, self.this, &prepared, self.ends, 0, self.root.as_deref_mut(), self.watch)
+    fn avoids_guards(&self, ray: &Ray) -> bool {
+        let Some(slab) = SlabRay::new(ray) else { return false };
+        self.guards.iter().all(|guard| slab.entry(guard, slab.tfar).is_none())
     }
 }
 
-struct AnyHits<'a> {
-    this: &'a SolidBvh,
-    rays: &'a [Ray],
-    hits: &'a mut [bool],
-    ends: Ends,
-    root: Option<&'a mut LightRoot>,
-    fan: &'a mut fan::Fan,
+/// Watches where rays end; `()` does nothing.
+trait Watch {
+    fn solid(&mut self, _first: bool) {}
 }
 
-impl Job for AnyHits<'_> {
-    type Output = ();
+impl Watch for () {}
+
+impl Watch for SolidCounters {
+    fn solid(&mut self, first: bool) {
+        self.solid_hits += 1;
+        self.first_hits += u64::from(first);
+    }
+}
+
+/// The boxes as one batch of rays to one light sees them.
+struct Search<'a, W> {
+    this: &'a SolidBvh,
+    ends: Ends,
+    light: Option<&'a mut Light>,
+    watch: &'a mut W,
+}
+
+impl<W> Search<'_, W> {
+    /// The pack of a note, and whether the light has its own.
+    #[inline(always)]
+    fn find(&self, index: u32) -> Option<(&Pack, bool)> {
+        let place = (index as usize).wrapping_sub(1);
+        let own = self.light.as_ref().and_then(|light| light.get(place)?.as_ref());
+        match own {
+            Some(own) => Some((&own.pack, true)),
+            None => Some((self.this.packs.get(place)?, false)),
+        }
+    }
+
+    /// Notes that a box ended a ray.
+    #[inline(always)]
+    fn used(&mut self, index: u32, lane: usize, solid: u32) {
+        let Some(light) = &mut self.light else { return };
+        let packs = &self.this.packs;
+        let place = (index as usize).wrapping_sub(1);
+        let top = packs[place].top as usize;
+        let own = light[top].get_or_insert_with(|| Box::new(LightPack::new(packs[top])));
+        if top == place {
+            own.touch(lane);
+        } else {
+            own.remember(&self.this.solids[solid as usize], solid);
+        }
+    }
+}
+
+impl<W: Watch> accel::Solids for Search<'_, W> {
+    #[inline(always)]
+    fn pack(&self, index: u32) -> Option<&SolidPack> {
+        self.find(index).map(|(pack, _)| &pack.boxes)
+    }
 
     #[inline(always)]
-    fn run<K: Kernel>(mut self, kernel: K) {
-        let mut start = 0;
-        while start < self.rays.len() {
-            let origin = self.rays[start].origin;
-            let run =
-                self.rays[start..].iter().take(fan::RAYS).take_while(|ray| ray.origin == origin).count();
-            let range = start..start + run;
-            let (rays, hits) = (&self.rays[range.clone()], &mut self.hits[range]);
-            self.fan.any_hits(kernel, self.this, rays, hits, self.ends, self.root.as_deref_mut());
-            start += run;
+    fn blocks(&mut self, ray: &Ray, _: usize, index: u32, mut lanes: u32) -> bool {
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize % LANES;
+            lanes &= lanes - 1;
+            let Some((solid, first)) = self.find(index).map(|(pack, own)| (pack.ids[lane], own)) else {
+                return false;
+            };
+            if self.this.vouches(solid, ray, self.ends) {
+                self.watch.solid(first);
+                self.used(index, lane, solid);
+                return true;
+            }
         }
+        false
     }
 }
