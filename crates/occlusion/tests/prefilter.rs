@@ -144,6 +144,28 @@ fn rays_end_early_and_stay_close_to_the_truth() {
     }
 }
 
+/// Where rays end depends on the tree, so that single answers may rise by the error of the method; means may not.
+#[test]
+fn more_triangles_let_less_through() {
+    let (mut positions, mut triangles) = flakes(1500, 0.08, 1);
+    let options = PrefilterOptions::default();
+    let query = Query::new(0.3).unwrap();
+    let mut last = f64::INFINITY;
+    for seed in 2..6 {
+        let mesh = TriangleMesh::new(positions.clone(), triangles.clone()).unwrap();
+        let scene = build(&positions, &triangles, &[0.85], &options);
+        let passed = answers(&scene, &cones(&mesh, 4000, 9), &query);
+        let mean = passed.iter().map(|&x| f64::from(x)).sum::<f64>() / passed.len() as f64;
+        assert!(mean < last, "{mean} after {last}");
+        last = mean;
+        let (more, faces) = flakes(500, 0.08, seed);
+        let base = positions.len() as u32;
+        positions.extend(more);
+        triangles.extend(faces.iter().map(|t| t.map(|v| v + base)));
+    }
+    assert!(last < 0.9, "{last}");
+}
+
 #[test]
 fn a_closed_box_lets_nothing_out() {
     let mut mesh = generated("bush", 4_000, 0);
