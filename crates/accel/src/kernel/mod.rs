@@ -31,8 +31,10 @@ pub(crate) struct NodeRay {
 impl NodeRay {
     #[inline(always)]
     pub(crate) fn new(slab: SlabRay) -> Self {
-        let inv_near = slab.inv_near.to_array();
-        Self { slab, near_row: [0, 1, 2].map(|axis| 2 * axis + usize::from(inv_near[axis] < 0.0)) }
+        let [x, y, z] = slab.inv_near.to_array();
+        // Not by `map`, which is not inlined into functions with target features.
+        let near_row = [usize::from(x < 0.0), 2 + usize::from(y < 0.0), 4 + usize::from(z < 0.0)];
+        Self { slab, near_row }
     }
 }
 
