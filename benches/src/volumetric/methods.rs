@@ -139,10 +139,10 @@ impl Caster<'_> {
             Kind::Solid(solid, remembered) => {
                 let mut scratch = solid.scratch();
                 let ends = ends(scene, |region| solid.is_outside(region));
-                for (light, range) in shadows.runs() {
+                for (light, range) in shadows.runs(self.call == Call::Together) {
                     let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
-                    let ends = ends[light];
-                    let light = remembered.then_some(light);
+                    let ends = ends_of(&ends, light);
+                    let light = light.filter(|_| remembered);
                     match self.call {
                         Call::Single => rays
                             .iter()
@@ -160,12 +160,12 @@ impl Caster<'_> {
         let Kind::Kd(kd, order, occluders, cached) = self.kind else { return };
         let mut scratch = Scratch::default();
         let ends = ends(scene, |region| kd.is_outside(region));
-        for (light, range) in shadows.runs() {
+        for (light, range) in shadows.runs(self.call == Call::Together) {
             let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
             let query = Query::default()
                 .with_order(order)
-                .with_ends(ends[light])
-                .with_light(cached.then_some(light))
+                .with_ends(ends_of(&ends, light))
+                .with_light(light.filter(|_| cached))
                 .with_occluders(occluders);
             match self.call {
                 Call::Single => rays
@@ -195,8 +195,8 @@ impl Caster<'_> {
                 let (mut scratch, mut counters) = (solid.scratch(), SolidCounters::default());
                 let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
                 let forecast = solid.forecast(&lights);
-                for (light, range) in shadows.runs() {
-                    let light = remembered.then_some(light);
+                for (light, range) in shadows.runs(false) {
+                    let light = light.filter(|_| remembered);
                     for ray in &shadows.rays[range] {
                         solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, &mut counters);
                     }
@@ -246,6 +246,16 @@ impl Caster<'_> {
 fn ends(scene: &Scene, is_outside: impl Fn(&umbrage_geom::Aabb) -> bool) -> Vec<Ends> {
     let known = |outside| if outside { Ends::Outside } else { Ends::Unknown };
     scene.lights.iter().map(|light| known(is_outside(&light.bounds()))).collect()
+}
+
+/// What is known of the ends of rays to a light, or to all of them.
+fn ends_of(ends: &[Ends], light: Option<usize>) -> Ends {
+    let all_outside = || ends.iter().all(|&ends| ends == Ends::Outside);
+    match light {
+        Some(light) => ends[light],
+        None if all_outside() => Ends::Outside,
+        None => Ends::Unknown,
+    }
 }
 
 /// A caster under the clock.

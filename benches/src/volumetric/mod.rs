@@ -49,7 +49,7 @@ const SINGLE: [&str; 9] = [
     "fertility",
 ];
 /// Of these, in the quick form.
-const QUICK: usize = 2;
+const QUICK: usize = 3;
 
 /// One image's rays under the clock.
 pub struct Case<'a> {

@@ -54,7 +54,8 @@ struct Receiver {
     pixel: u32,
 }
 
-/// All shadow rays of an image, tile by tile, light by light, receiver by receiver.
+/// All shadow rays of an image, tile by tile: those to area lights light by light, then receiver by receiver; those to points the
+/// other way round. So rays that share an origin follow each other.
 pub struct Shadows {
     pub rays: Vec<Ray>,
     pub fans: Vec<Fan>,
@@ -97,11 +98,10 @@ fn join(parts: &[TriangleMesh], extent: f32, y: f32) -> (TriangleMesh, Vec<Objec
 ///
 /// The dissertation doesn't say where its lights are; in its images about 40 % of the shadow rays are occluded (section 4.8.2), which
 /// lights all around the mesh can't reach: their shadows lie apart, and most of the ground sees four of them.
-fn ring(extent: f32) -> Vec<Light> {
+fn ring(center: Vec3, radius: f32, size: f32) -> Vec<Light> {
     let light = |i: u32| {
         let angle = 0.3 + i as f32 * TAU / 5.0;
-        let center = Vec3::new(angle.cos() * 0.35 - 0.2, 1.0, angle.sin() * 0.35 - 0.55) * extent;
-        Light { center, size: 0.25 * extent }
+        Light { center: center + Vec3::new(angle.cos(), 0.0, angle.sin()) * radius, size }
     };
     (0..5).map(light).collect()
 }
@@ -146,8 +146,9 @@ pub fn single(name: &str, mesh: &TriangleMesh) -> Scene {
     // Mesh and shadow fill the image.
     let look = Vec3::new(0.0, 0.2 * placed.bounds().max.y, 0.0);
     let eye = look + Vec3::new(0.3, 0.75, 0.95).normalize() * 1.1;
+    let lights = ring(Vec3::new(-0.2, 1.0, -0.55), 0.35, 0.25);
     let (mesh, objects) = join(&[placed], 2.0, -0.0005);
-    Scene { name: name.into(), mesh, objects, eye, look, lights: ring(1.0) }
+    Scene { name: name.into(), mesh, objects, eye, look, lights }
 }
 
 /// 36 objects on the ground, with `leaves` small squares above them.
@@ -192,16 +193,21 @@ pub fn many(name: &str, folder: &Path, leaves: u32) -> Result<Scene> {
         parts.push(cloud);
     }
     let (mesh, objects) = join(&parts, 6.0, -0.001);
+    let lights = ring(Vec3::new(-0.6, 1.6, -4.2), 1.0, 0.75);
     let eye = Vec3::new(2.0, if leaves > 0 { 0.9 } else { 3.0 }, 5.0);
-    Ok(Scene { name: name.into(), mesh, objects, eye, look: Vec3::new(0.0, 0.2, 0.0), lights: ring(3.0) })
+    Ok(Scene { name: name.into(), mesh, objects, eye, look: Vec3::new(0.0, 0.2, 0.0), lights })
 }
 
 impl Shadows {
-    /// Runs of rays to one light, with the light: most of a tile's.
-    pub fn runs(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
-        self.fans
-            .chunk_by(|a, b| a.light == b.light)
-            .map(|fans| (fans[0].light as usize, fans[0].start as usize..fans[fans.len() - 1].end as usize))
+    /// Rays that are answered by one call, with their light: a fan, or if `together` all of a tile to one area light, and all
+    /// of the image to points.
+    pub fn runs(&self, together: bool) -> impl Iterator<Item = (Option<usize>, Range<usize>)> {
+        let points = self.rays.len() == self.fans.len();
+        let same = move |a: &Fan, b: &Fan| together && (points || a.light == b.light);
+        self.fans.chunk_by(same).map(move |fans| {
+            let light = (!together || !points).then_some(fans[0].light as usize);
+            (light, fans[0].start as usize..fans[fans.len() - 1].end as usize)
+        })
     }
 }
 
@@ -230,8 +236,17 @@ impl Scene {
                 let point = offset_origin(point, normal, normal, magnitude);
                 receivers.push(Receiver { point, normal, pixel: y * side + x });
             }
-            for light in 0..self.lights.len() {
-                receivers.iter().for_each(|receiver| self.add_fan(&mut shadows, receiver, light, per_light));
+            let count = self.lights.len();
+            if self.lights.iter().all(|light| light.size == 0.0) {
+                for receiver in &receivers {
+                    (0..count).for_each(|light| self.add_fan(&mut shadows, receiver, light, per_light));
+                }
+            } else {
+                for light in 0..count {
+                    receivers
+                        .iter()
+                        .for_each(|receiver| self.add_fan(&mut shadows, receiver, light, per_light));
+                }
             }
         }
         Ok(shadows)

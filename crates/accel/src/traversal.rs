@@ -216,8 +216,10 @@ pub(crate) fn any_hit_among<K: Kernel, B: Solids, S: Statistics>(
         mask &= mask - 1;
         if child & LEAF != 0 {
             let leaf = (child & !LEAF) as usize;
-            let Some(prepared) = block.or_else(|| BlockRay::new(ray)) else { return false };
-            block = Some(prepared);
+            if B::ANY && block.is_none() {
+                block = BlockRay::new(ray);
+            }
+            let Some(prepared) = block else { return false };
             let BlockMask { certain, uncertain: mut open } = filter(kernel, bvh, leaf, &prepared, stats);
             if certain != 0 {
                 return true;

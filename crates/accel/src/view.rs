@@ -49,7 +49,7 @@ impl Bvh {
         })
     }
 
-    /// Keeps `note` in node `node`, through refits too. Queries don't look at it.
+    /// Keeps `note` in node `node`, through refits too. Only queries that are given boxes or goals look at it.
     ///
     /// # Panics
     /// If there is no such node.

@@ -366,6 +366,41 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
 }
 
 #[test]
+fn boxes_are_built_only_where_they_pay() {
+    let built = |(positions, triangles): &Mesh, objects: &[Object], light: Vec3| {
+        let bvh = Arc::new(Bvh::build(positions, triangles, &BuildOptions::default()).unwrap());
+        let options = SolidBvhOptions::default();
+        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &[light], &options);
+        if let Some(built) = &built {
+            let forecast = built.forecast(&[light]);
+            assert!(forecast.pays() && forecast.coverage > 0.3 && forecast.occurrence > 0.2, "{forecast:?}");
+        }
+        // Nothing else holds the hierarchy then: no boxes were put into it.
+        (built.is_some(), Arc::strong_count(&bvh))
+    };
+    let light = Vec3::new(3.0, 4.0, 1.0);
+    let (positions, triangles) = sphere(5);
+    let ball = |count: u32| Object { triangles: 0..count, opaque: true };
+    let all = triangles.len() as u32;
+    assert_eq!(built(&(positions.clone(), triangles.clone()), &[], light), (true, 1));
+    // Large triangles block as well as boxes.
+    assert_eq!(built(&sphere(2), &[], light), (false, 1));
+    // A sheet has no inside worth the name.
+    let sheet = positions.iter().map(|p| [p[0], p[1] * 1e-3, p[2]]).collect();
+    assert_eq!(built(&(sheet, triangles.clone()), &[], light), (false, 1));
+    // Most of the scene is leaves.
+    let (mut leaves, mut more) = (positions, triangles);
+    for i in 0..9_000u32 {
+        let at = Vec3::new((i % 97) as f32, (i % 89) as f32, (i % 83) as f32) * 0.1;
+        let first = leaves.len() as u32;
+        leaves.extend([at, at + Vec3::X * 0.05, at + Vec3::Y * 0.05].map(|p| p.to_array()));
+        more.push([first, first + 1, first + 2]);
+    }
+    let open = Object { triangles: all..more.len() as u32, opaque: true };
+    assert_eq!(built(&(leaves, more), &[ball(all), open], light), (false, 1));
+}
+
+#[test]
 fn flat_and_hopeless_objects_generate_nothing() {
     let (positions, triangles) = cube();
     let flat: Vec<[f32; 3]> = positions.iter().map(|p| [p[0], p[1], 0.5]).collect();

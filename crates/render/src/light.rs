@@ -1,6 +1,7 @@
 //! Lights as a receiver sees them: where to aim, and how much would arrive if nothing stood in the way.
 
 use umbrage_geom::{
+    Aabb,
     glam::{Vec2, Vec3},
     sampling::{Cone, LightSample, SphereLight, SphericalRectangle, disc_light, parallelogram_light},
 };
@@ -97,6 +98,19 @@ impl Light {
                 let cone = Cone::new(towards, 0.5 * angle.to_radians());
                 Self { kind: cone.map_or(Kind::Nowhere, Kind::Directional), strength: irradiance.into() }
             }
+        }
+    }
+
+    /// A point that stands for all of it, if it shines at all: for distant lights, one ten diagonals away from `bounds`.
+    pub fn place(&self, bounds: &Aabb) -> Option<Vec3> {
+        match &self.kind {
+            &Kind::Rectangle { corner, u, v, .. } => Some(corner + 0.5 * (u + v)),
+            &Kind::Disc { center, .. } | &Kind::Sphere { center, .. } => Some(center),
+            &Kind::Point { position } | &Kind::Spot { position, .. } => Some(position),
+            Kind::Directional(cone) => {
+                Some(bounds.center() + cone.sample(Vec2::splat(0.5)) * (10.0 * bounds.diagonal()))
+            }
+            Kind::Nowhere => None,
         }
     }
 

@@ -10,7 +10,7 @@ use umbrage_aomask::{
     coarse::{self, FarField},
     exact,
 };
-use umbrage_geom::{Falloff, Ray};
+use umbrage_geom::{Falloff, Ray, glam::Vec3};
 use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query};
 
 /// One sample of a light or of the sky, seen from a receiver.
@@ -307,11 +307,24 @@ pub struct Choice<'a> {
     pub reason: &'static str,
 }
 
-/// The shadow method called `name`.
+/// The shadow method called `name`, for about so many `rays` to `lights` (points; far away for distant ones).
 ///
 /// # Errors
 /// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`].
-pub fn shadow_method<'a>(name: &str, geometry: &'a Geometry) -> Result<Choice<'a>, RenderError> {
+pub fn shadow_method<'a>(
+    name: &str,
+    geometry: &'a Geometry,
+    lights: &[Vec3],
+    rays: f64,
+) -> Result<Choice<'a>, RenderError> {
+    if name == "auto"
+        && let Some(method) = volumetric::where_it_pays(geometry, lights, rays)
+    {
+        return Ok(Choice {
+            method,
+            reason: "exact; many rays are expected to end at boxes inside of solids",
+        });
+    }
     match volumetric::method(name, geometry) {
         Some(method) => Ok(Choice { method, reason: "asked for" }),
         None => choose(name, "shadow", SHADOW_METHODS, geometry),
@@ -366,7 +379,7 @@ fn choose<'a>(
         return Ok(Choice { method, reason: "asked for; approximate" });
     }
     let reason = match name {
-        "auto" if purpose == "shadow" => "exact rays serve every scene",
+        "auto" if purpose == "shadow" => "exact; few rays are expected to end at boxes inside of solids",
         "auto" => "exact; masks need 32 to 1024 samples, a multiple of 32, and instances in one mesh",
         _ if name == exact => "asked for",
         _ => return Err(RenderError::Method { name: name.into(), purpose, known }),

@@ -106,7 +106,12 @@ pub fn render(
     check_settings(settings)?;
     let grid = TileGrid::new(settings.width, settings.height, TILE)?;
     let tiles: Vec<u32> = options.shard.tiles(&grid).map_err(crate::image::ImageError::from)?.collect();
-    let shadows = shadow_method(&settings.shadows, geometry)?;
+    let bounds = geometry.bounds();
+    let lights: Vec<Light> = scene.lights.iter().map(Light::new).collect();
+    let places: Vec<Vec3> = lights.iter().filter_map(|light| light.place(&bounds)).collect();
+    let samples: f64 = lights.iter().map(|light| f64::from(light.samples(settings.shadow_samples))).sum();
+    let points = f64::from(settings.width) * f64::from(settings.height) * f64::from(settings.spp);
+    let shadows = shadow_method(&settings.shadows, geometry, &places, points * samples)?;
     let sky = scene.ambient.as_ref().map(|ambient| SkyRays {
         samples: settings.ao_samples,
         radius: ambient.radius.resolve(geometry.bounds().diagonal()),
@@ -117,7 +122,7 @@ pub fn render(
     let mut integrator = Integrator {
         camera: Camera::new(&scene.camera, settings.width, settings.height),
         geometry,
-        lights: scene.lights.iter().map(Light::new).collect(),
+        lights,
         sky: scene.ambient.as_ref().zip(sky.clone()).map(|(ambient, sky)| Sky {
             radiance: ambient.radiance.into(),
             radius: sky.radius,

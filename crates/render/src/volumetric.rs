@@ -9,7 +9,7 @@ use crate::{
 };
 use std::sync::{Mutex, OnceLock};
 use umbrage_accel::{Counters, kdtree::Order};
-use umbrage_geom::Ray;
+use umbrage_geom::{Ray, TriangleMesh, glam::Vec3};
 use umbrage_occlusion::volumetric::{
     self as occluders, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
     SolidBvhOptions, SolidCounters, SolidScratch,
@@ -24,6 +24,9 @@ enum Way {
     Wide,
 }
 
+/// Name of the wide hierarchy's method.
+const WIDE: &str = "bvh-volumetric";
+
 /// Names of the methods here.
 pub(crate) const NAMES: [&str; 8] = [
     "kd",
@@ -33,7 +36,7 @@ pub(crate) const NAMES: [&str; 8] = [
     "kd-volumetric:bfs",
     "kd-volumetric:qdbfs",
     "kd-volumetric:solid",
-    "bvh-volumetric",
+    WIDE,
 ];
 
 fn way(name: &str) -> Option<Way> {
@@ -44,7 +47,7 @@ fn way(name: &str) -> Option<Way> {
         "kd-volumetric:bfs" => Way::Kd(Order::BREADTH, true),
         "kd-volumetric" | "kd-volumetric:qdbfs" => Way::Kd(Order::QUICK, true),
         "kd-volumetric:solid" => Way::Kd(Order::SOLID, true),
-        "bvh-volumetric" => Way::Wide,
+        WIDE => Way::Wide,
         _ => return None,
     })
 }
@@ -84,14 +87,36 @@ pub(crate) fn method<'a>(name: &str, geometry: &'a Geometry) -> Option<Box<dyn M
     }))
 }
 
+/// Shadow rays for each triangle from which on looking for boxes is worth it: it takes about as long as tracing ten.
+const RAYS_PER_TRIANGLE: f64 = 30.0;
+
+/// `bvh-volumetric`, built, for a scene whose `rays` shadow rays to `lights` (points) are expected to gain by it.
+pub(crate) fn where_it_pays<'a>(
+    geometry: &'a Geometry,
+    lights: &[Vec3],
+    rays: f64,
+) -> Option<Box<dyn Method + 'a>> {
+    let (bvh, mesh) = geometry.flat_opaque()?;
+    if lights.is_empty() || rays < RAYS_PER_TRIANGLE * mesh.triangles.len() as f64 {
+        return None;
+    }
+    let (positions, triangles) = (&mesh.positions, &mesh.triangles);
+    let options = SolidBvhOptions::default();
+    let solid = SolidBvh::build_if_it_pays(bvh, positions, triangles, &objects(mesh), lights, &options)?;
+    let structure = OnceLock::from(Structure::Wide(Box::new(solid)));
+    let kept = Mutex::new(Vec::new());
+    Some(Box::new(Volumetric { name: WIDE, way: Way::Wide, geometry, structure, kept }))
+}
+
+fn objects(mesh: &TriangleMesh) -> Vec<Object> {
+    let objects = mesh.objects_or_whole().into_iter();
+    objects.map(|object| Object { triangles: object.triangles, opaque: true }).collect()
+}
+
 impl Volumetric<'_> {
     fn build(&self) -> Structure {
         let Some((bvh, mesh)) = self.geometry.flat_opaque() else { return Structure::Plain };
-        let objects: Vec<Object> = mesh
-            .objects_or_whole()
-            .into_iter()
-            .map(|object| Object { triangles: object.triangles, opaque: true })
-            .collect();
+        let objects = objects(mesh);
         let (positions, triangles) = (&mesh.positions, &mesh.triangles);
         match self.way {
             Way::Kd(..) => {

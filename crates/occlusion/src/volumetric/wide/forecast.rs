@@ -1,6 +1,7 @@
 //! Whether solid boxes pay in a scene: the rules of thumb of Djeu11, section 3.8.2 as numbers, known before any ray is traced.
 
-use super::SolidBvh;
+use super::Carved;
+use crate::volumetric::Generator;
 use umbrage_geom::{
     Aabb, Ray, SlabRay,
     glam::{DVec3, Vec3},
@@ -12,6 +13,9 @@ const LINES: u32 = 256;
 
 /// Least share of a scene's triangles that generators must have: others block rays without boxes.
 const LEAST_TRIANGLES: f32 = 0.5;
+
+/// Fewest triangles of generators: less is traced as fast without.
+const SMALLEST: usize = 4_000;
 
 /// Least share of the lines from lights through generators that boxes must stop: the shadow shape test.
 const LEAST_COVERAGE: f32 = 0.1;
@@ -35,6 +39,12 @@ pub struct Forecast {
 }
 
 impl Forecast {
+    /// Whether [`Self::pays`] could be true, by the generators of a scene of so many triangles alone.
+    pub(super) fn may_pay(generators: &[Generator], triangles: usize) -> bool {
+        let own: usize = generators.iter().map(|generator| generator.triangles as usize).sum();
+        own as f32 >= LEAST_TRIANGLES * triangles as f32 && own >= SMALLEST
+    }
+
     /// Whether boxes are expected to save more than they cost.
     pub fn pays(&self) -> bool {
         self.triangles >= LEAST_TRIANGLES && self.coverage >= LEAST_COVERAGE && self.area_ratio >= LEAST_RATIO
@@ -45,9 +55,9 @@ fn volume(aabb: &Aabb) -> f64 {
     aabb.size().as_dvec3().element_product()
 }
 
-impl SolidBvh {
-    /// What can be said of rays to `lights` (points; far away for distant ones).
-    pub fn forecast(&self, lights: &[Vec3]) -> Forecast {
+impl Carved {
+    /// See [`super::SolidBvh::forecast`]; `triangles` are those of the scene.
+    pub(super) fn forecast(&self, lights: &[Vec3], triangles: usize) -> Forecast {
         let (mut stopped, mut all) = (0.0, 0.0);
         let (mut inside, mut outside) = (0.0, 0.0);
         let mut random = RandomStream::new(17, 0);
@@ -77,7 +87,7 @@ impl SolidBvh {
         let area: f64 = self.interiors.iter().map(|interior| interior.area).sum();
         let mean_triangle = 2.0 * area / count.max(1) as f64;
         Forecast {
-            triangles: count as f32 / self.bvh.prim_count().max(1) as f32,
+            triangles: count as f32 / triangles.max(1) as f32,
             coverage: (stopped / f64::max(all, f64::MIN_POSITIVE)) as f32,
             area_ratio: (mean_box / mean_triangle.max(f64::MIN_POSITIVE)) as f32,
             occurrence: (inside / f64::max(outside, f64::MIN_POSITIVE)) as f32,

@@ -15,7 +15,7 @@ pub use forecast::Forecast;
 use super::{Ends, Object, SolidOptions, Solids, carve::carve, ends, voxels::Voxels};
 use std::sync::Arc;
 use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, Note, SolidPack};
-use umbrage_geom::{Aabb, Ray, SlabRay};
+use umbrage_geom::{Aabb, Ray, SlabRay, glam::Vec3};
 
 /// Boxes of a pack.
 const LANES: usize = SolidPack::LANES;
@@ -74,16 +74,54 @@ impl Pack {
     }
 }
 
+/// Boxes inside of generators.
+#[derive(Clone, Debug, Default)]
+struct Carved {
+    interiors: Vec<Interior>,
+    solids: Vec<Aabb>,
+    /// Interior that each box belongs to.
+    owners: Vec<u32>,
+}
+
+impl Carved {
+    fn new(positions: &[[f32; 3]], triangles: &[[u32; 3]], found: &Solids) -> Self {
+        let mut this = Self::default();
+        for (index, generator) in found.generators().iter().enumerate() {
+            let surface = found.surface(index, positions, triangles);
+            // Boxes much larger than triangles are what counts, and about that many fit along a side.
+            let resolution = (f64::from(generator.triangles).sqrt() / 4.0).clamp(24.0, MOST_VOXELS) as usize;
+            let winding = |point| surface.winding_number(point);
+            let Some(voxels) =
+                Voxels::build(&generator.bounds, resolution, &mut surface.triangles(), &winding)
+            else {
+                continue;
+            };
+            let carved = carve(&voxels, &generator.bounds, MOST_BOXES);
+            if carved.boxes.is_empty() {
+                continue;
+            }
+            this.owners.extend(std::iter::repeat_n(this.interiors.len() as u32, carved.boxes.len()));
+            this.solids.extend(carved.boxes);
+            this.interiors.push(Interior {
+                bounds: generator.bounds,
+                voxels,
+                guards: surface.guards().to_vec(),
+                coverage: carved.coverage,
+                triangles: generator.triangles,
+                area: forecast::area(surface.triangles()),
+            });
+        }
+        this
+    }
+}
+
 /// A wide hierarchy whose any-hit meets boxes inside of solids early; exact.
 #[derive(Clone, Debug)]
 pub struct SolidBvh {
     /// Notes of nodes are indices of packs, from 1.
     bvh: Arc<Bvh>,
     packs: Vec<Pack>,
-    interiors: Vec<Interior>,
-    solids: Vec<Aabb>,
-    /// Interior that each box belongs to.
-    owners: Vec<u32>,
+    carved: Carved,
 }
 
 /// What a thread keeps from ray to ray: for each light the boxes that ended rays last.
@@ -148,54 +186,57 @@ impl SolidBvh {
     /// # Panics
     /// If a triangle names a vertex that does not exist, or an object triangles that don't.
     pub fn build(
-        mut bvh: Arc<Bvh>,
+        bvh: Arc<Bvh>,
         positions: &[[f32; 3]],
         triangles: &[[u32; 3]],
         objects: &[Object],
         options: &SolidBvhOptions,
     ) -> Self {
         let found = Solids::find(positions, triangles, objects, &options.solids);
-        let (mut interiors, mut solids, mut owners) = (Vec::new(), Vec::new(), Vec::new());
-        for (index, generator) in found.generators().iter().enumerate() {
-            let surface = found.surface(index, positions, triangles);
-            // Boxes much larger than triangles are what counts, and about that many fit along a side.
-            let resolution = (f64::from(generator.triangles).sqrt() / 4.0).clamp(24.0, MOST_VOXELS) as usize;
-            let winding = |point| surface.winding_number(point);
-            let Some(voxels) =
-                Voxels::build(&generator.bounds, resolution, &mut surface.triangles(), &winding)
-            else {
-                continue;
-            };
-            let carved = carve(&voxels, &generator.bounds, MOST_BOXES);
-            if carved.boxes.is_empty() {
-                continue;
-            }
-            owners.extend(std::iter::repeat_n(interiors.len() as u32, carved.boxes.len()));
-            solids.extend(carved.boxes);
-            let guards = surface.guards().to_vec();
-            interiors.push(Interior {
-                bounds: generator.bounds,
-                voxels,
-                guards,
-                coverage: carved.coverage,
-                triangles: generator.triangles,
-                area: forecast::area(surface.triangles()),
-            });
+        Self::new(bvh, Carved::new(positions, triangles, &found))
+    }
+
+    /// [`Self::build`] where rays to `lights` (points; far away for distant ones) are expected to gain by it
+    /// ([`Forecast::pays`]). Nothing is copied otherwise, and no box looked for if the audit of the objects says no.
+    ///
+    /// # Panics
+    /// As [`Self::build`].
+    pub fn build_if_it_pays(
+        bvh: &Arc<Bvh>,
+        positions: &[[f32; 3]],
+        triangles: &[[u32; 3]],
+        objects: &[Object],
+        lights: &[Vec3],
+        options: &SolidBvhOptions,
+    ) -> Option<Self> {
+        let found = Solids::find(positions, triangles, objects, &options.solids);
+        if !Forecast::may_pay(found.generators(), triangles.len()) {
+            return None;
         }
+        let carved = Carved::new(positions, triangles, &found);
+        carved.forecast(lights, triangles.len()).pays().then(|| Self::new(bvh.clone(), carved))
+    }
+
+    fn new(mut bvh: Arc<Bvh>, carved: Carved) -> Self {
         let mut packs = Vec::new();
-        if !solids.is_empty() {
-            let places = places::choose(&bvh, &solids);
+        if !carved.solids.is_empty() {
+            let places = places::choose(&bvh, &carved.solids);
             let owned = Arc::make_mut(&mut bvh);
             (0..owned.view().node_count() as u32).for_each(|node| owned.set_note(node, Note::default()));
             for place in places {
                 let mut pack = Pack { top: place.top, ..Pack::EMPTY };
                 let boxes = place.solids.iter().enumerate();
-                boxes.for_each(|(lane, &solid)| pack.set(lane, &solids[solid as usize], solid));
+                boxes.for_each(|(lane, &solid)| pack.set(lane, &carved.solids[solid as usize], solid));
                 packs.push(pack);
                 owned.set_note(place.node, Note { index: packs.len() as u32, ..Note::default() });
             }
         }
-        Self { bvh, packs, interiors, solids, owners }
+        Self { bvh, packs, carved }
+    }
+
+    /// What can be said of rays to `lights` (points; far away for distant ones).
+    pub fn forecast(&self, lights: &[Vec3]) -> Forecast {
+        self.carved.forecast(lights, self.bvh.prim_count())
     }
 
     /// Whether the open segment meets any triangle.
@@ -271,25 +312,25 @@ impl SolidBvh {
     /// Whether all points of `region`, such as a light, are surely outside of every generator, so that segments to it have
     /// [`Ends::Outside`].
     pub fn is_outside(&self, region: &Aabb) -> bool {
-        self.interiors.iter().all(|interior| interior.region_is_outside(region))
+        self.carved.interiors.iter().all(|interior| interior.region_is_outside(region))
     }
 
     /// Whether `solid`, which the segment crosses, blocks it: the endpoint rule, and the guards.
     #[inline]
     fn vouches(&self, solid: u32, ray: &Ray, ends: Ends) -> bool {
-        let interior = &self.interiors[self.owners[solid as usize] as usize];
+        let interior = &self.carved.interiors[self.carved.owners[solid as usize] as usize];
         (interior.guards.is_empty() || interior.avoids_guards(ray))
             && (ends == Ends::Outside || interior.has_end_outside(ray))
     }
 
     /// Number of generators that have occluders.
     pub fn generator_count(&self) -> usize {
-        self.interiors.len()
+        self.carved.interiors.len()
     }
 
     /// The boxes inside of solids.
     pub fn occluders(&self) -> &[Aabb] {
-        &self.solids
+        &self.carved.solids
     }
 
     /// Nodes that have boxes.
@@ -302,7 +343,7 @@ impl SolidBvh {
     /// # Panics
     /// If there is no such generator.
     pub fn coverage(&self, index: usize) -> f32 {
-        self.interiors[index].coverage
+        self.carved.interiors[index].coverage
     }
 
     /// The hierarchy.
@@ -312,8 +353,8 @@ impl SolidBvh {
 
     /// Bytes that all of it holds.
     pub fn bytes(&self) -> usize {
-        let voxels: usize = self.interiors.iter().map(|interior| interior.voxels.bytes()).sum();
-        let boxes = size_of_val(&self.solids[..]) + size_of_val(&self.owners[..]);
+        let voxels: usize = self.carved.interiors.iter().map(|interior| interior.voxels.bytes()).sum();
+        let boxes = size_of_val(&self.carved.solids[..]) + size_of_val(&self.carved.owners[..]);
         self.bvh.bytes() + size_of_val(&self.packs[..]) + boxes + voxels
     }
 
@@ -392,7 +433,7 @@ impl<W> Search<'_, W> {
         if top == place {
             own.touch(lane);
         } else {
-            own.remember(&self.this.solids[solid as usize], solid);
+            own.remember(&self.this.carved.solids[solid as usize], solid);
         }
     }
 }
