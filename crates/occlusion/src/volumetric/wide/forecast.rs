@@ -12,7 +12,7 @@ use umbrage_geom::{
 const LINES: u32 = 256;
 
 /// Least share of a scene's triangles that generators must have: others block rays without boxes.
-const LEAST_TRIANGLES: f32 = 0.5;
+const LEAST_TRIANGLES: f32 = 0.65;
 
 /// Fewest triangles of generators: less is traced as fast without.
 const SMALLEST: usize = 4_000;
