@@ -5,7 +5,6 @@ mod aomask;
 #[cfg(feature = "embree")]
 mod embree;
 mod entry;
-#[cfg(feature = "embree")]
 mod memory;
 mod peer;
 mod prefilter;
