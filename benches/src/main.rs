@@ -7,6 +7,7 @@ mod embree;
 mod entry;
 mod memory;
 mod peer;
+mod plot;
 mod prefilter;
 mod reyes;
 mod rows;
@@ -48,7 +49,7 @@ struct Arguments {
     /// Only figures of suite reyes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     figure: Option<String>,
-    /// Folder for plots of suite reyes, beside rows.
+    /// Folder for plots of suites prefilter and reyes, beside rows.
     #[arg(long, value_name = "FOLDER")]
     plots: Option<PathBuf>,
     /// Folder for pictures; suites aomask, prefilter (figures 4 and 6), reyes and volumetric.
@@ -74,8 +75,8 @@ fn main() -> Result<()> {
             aomask::run(&aomask::Options { quick, peers, only, part, images: pictures }, &mut output)
         }
         "prefilter" => {
-            let Arguments { quick, peers, only, part, pictures, .. } = arguments;
-            prefilter::run(&prefilter::Options { quick, peers, only, part, pictures }, &mut output)
+            let Arguments { quick, peers, only, part, plots, pictures, .. } = arguments;
+            prefilter::run(&prefilter::Options { quick, peers, only, part, plots, pictures }, &mut output)
         }
         "stability" => {
             let Arguments { quick, peers, only, .. } = arguments;

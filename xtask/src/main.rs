@@ -58,10 +58,10 @@ enum Task {
         /// Pixels along a side of the images of suite reyes.
         #[arg(long, value_name = "N")]
         size: Option<u32>,
-        /// Folder for plots of suite reyes, beside rows.
+        /// Folder for plots of suites prefilter and reyes, beside rows.
         #[arg(long, value_name = "FOLDER")]
         plots: Option<PathBuf>,
-        /// Folder for pictures; suites aomask, reyes and volumetric.
+        /// Folder for pictures; suites aomask, prefilter, reyes and volumetric.
         #[arg(long, value_name = "FOLDER")]
         pictures: Option<PathBuf>,
     },

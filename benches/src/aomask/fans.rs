@@ -53,7 +53,7 @@ fn back_ends() -> impl Iterator<Item = BackEnd> {
 /// Stratified rays to a square light above the scene, half its size, neighbours on the light together.
 fn shadow_rays(case: &Case, per_fan: u32, quick: bool) -> Vec<Ray> {
     let receivers =
-        workload::surface_of(&case.mesh, if quick { 1 << 17 } else { 1 << 20 } / per_fan as usize);
+        workload::surface_of(&case.mesh, if quick { 1 << 17 } else { 1 << 18 } / per_fan as usize);
     let bounds = case.mesh.bounds();
     let (center, size) = (bounds.center(), bounds.diagonal());
     let middle = center + Vec3::new(0.3, 1.0, 0.2) * size;

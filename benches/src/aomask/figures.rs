@@ -1,8 +1,9 @@
 //! Table 2 and figures 5, 6 and 7 of `[Laine10]`, on our scenes.
 
 use super::{
-    Case, Options, TABLE1, measure, passes,
+    Case, Options, TABLE1, measure,
     picture::{self, Picture},
+    picture_passes,
 };
 use crate::rows::{Output, Row, median};
 use anyhow::Result;
@@ -60,7 +61,7 @@ fn table2(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
                 &levels,
                 &mask_options,
                 &raster,
-                passes(options),
+                picture_passes(options),
             )?);
         }
         let all = &answers[5];
@@ -217,7 +218,7 @@ fn figure7(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let mut levels = vec![scene];
     levels.extend(coarse.iter().map(|level| level.level(&case.mesh.positions)));
     let raster = RasterOptions::default();
-    let passes = passes(options).min(3);
+    let passes = picture_passes(options);
     let whole = picture.rasterize(case, &tables, &levels[..1], &mask_options, &raster, passes)?;
     let detailed = picture.rasterize(case, &tables, &levels, &mask_options, &raster, passes)?;
     for (mode, answer, build_s) in [("scene", &whole, 0.0), ("levels", &detailed, build_s)] {

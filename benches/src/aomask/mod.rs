@@ -210,7 +210,12 @@ fn table1(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
 }
 
 fn passes(options: &Options) -> usize {
-    if options.quick { 3 } else { 9 }
+    if options.quick { 3 } else { 5 }
+}
+
+/// Passes over whole pictures, which take seconds each.
+fn picture_passes(options: &Options) -> usize {
+    if options.quick { 3 } else { 1 }
 }
 
 /// The folder of real meshes, with a word if there is none.

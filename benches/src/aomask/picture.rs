@@ -1,6 +1,6 @@
 //! Whole images of receivers: what rasterization answers, and its rows.
 
-use super::{Case, Options, camera, measure, passes};
+use super::{Case, Options, camera, measure, picture_passes};
 use crate::rows::{Output, Row, median};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
@@ -32,9 +32,9 @@ pub struct Answer {
 }
 
 impl Picture {
-    /// The first view of a scene, at the paper's size or a quarter of it across and down.
+    /// The first view of a scene, at half the paper's size across and down, a quarter in the quick form.
     pub fn new(case: &Case, quick: bool) -> Self {
-        let size = if quick { [256, 192] } else { [1024, 768] };
+        let size = if quick { [256, 192] } else { [512, 384] };
         let view = camera::views(case)[0].resized(size);
         let pixels = view.pixels(case);
         let list = |f: fn(&(Vec3, Vec3)) -> Vec3, none: Vec3| {
@@ -169,7 +169,7 @@ pub fn table1_row(
     let tables = tables(case, pattern)?;
     let mask_options = MaskOptions::default().with_radius(radius);
     let (mut answer, mut ratios) = (None, Vec::new());
-    let passes = passes(options).min(3);
+    let passes = picture_passes(options);
     let mut times = Vec::new();
     for _ in 0..passes {
         let raster = RasterOptions::default();

@@ -4,10 +4,13 @@ use super::{
     case::{Case, Kind, Source, Workload},
     targets::round,
 };
-use crate::rows::{Output, Row};
+use crate::{
+    plot::{self, Series},
+    rows::{Output, Row},
+};
 use anyhow::Result;
 use serde_json::{Value, json};
-use std::time::Instant;
+use std::{path::Path, time::Instant};
 use umbrage_accel::Statistics;
 use umbrage_geom::{Ray, sampling::RandomStream};
 use umbrage_occlusion::prefilter::{
@@ -43,7 +46,7 @@ fn answers(scene: &Prefiltered, cones: &[ConeRay], query: &Query) -> Vec<f32> {
 }
 
 /// Figure 5: variance of the mean of `M` jittered samples of one receiver's view of the light, over `trials`.
-pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
+pub fn variance(case: &Case, trials: u32, plots: Option<&Path>, output: &mut Output) -> Result<()> {
     const SIDE: u32 = 256;
     let (scene, _) = case.prefiltered(&PrefilterOptions::default())?;
     let Some((receiver, solid_angle)) = case.half_shadow() else { return Ok(()) };
@@ -51,11 +54,13 @@ pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
     case.fan(receiver, SIDE * SIDE, 1, &mut cones);
     // Each ray of a picture stands for a hundredth of the light, as samples would.
     cones.iter_mut().for_each(|c| c.solid_angle = solid_angle);
+    let mut series = Vec::new();
     for (name, query) in
         [("bvh", Query::EXACT), ("prefilter", Query::new(2.0)?), ("prefilter", Query::new(0.1)?)]
     {
         let image = answers(&scene, &cones, &query);
         let mean = image.iter().map(|&x| f64::from(x)).sum::<f64>() / image.len() as f64;
+        let mut points = Vec::new();
         for samples in [1u32, 4, 9, 16, 25, 36, 49, 64, 81, 100] {
             let grid = samples.isqrt();
             let mut random = RandomStream::new(samples, 5);
@@ -78,9 +83,18 @@ pub fn variance(case: &Case, trials: u32, output: &mut Output) -> Result<()> {
                 "t": if t.is_finite() { json!(round(t)) } else { Value::Null },
             });
             let variance = squares / f64::from(trials);
+            points.push([f64::from(samples), variance]);
             let counters = json!({ "variance": variance, "mean": mean });
             output.row(&error_row(case, name, params, (variance.sqrt(), 0.0), counters))?;
         }
+        let t = query.threshold();
+        let name = if t.is_finite() { format!("T = {t}") } else { "exact".into() };
+        series.push(Series { name, points, filled: true });
+    }
+    if let Some(folder) = plots {
+        let file = format!("prefilter-variance-{}.svg", case.source.name);
+        let labels = ["samples", "variance of their mean"];
+        plot::save(folder, &file, "Figure 5: one receiver's view of the light", labels, &series)?;
     }
     Ok(())
 }

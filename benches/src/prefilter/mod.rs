@@ -22,6 +22,8 @@ pub struct Options {
     pub only: Option<String>,
     /// Only one part of the suite.
     pub part: Option<String>,
+    /// Folder for plots of figures 1, 5, 7, 8 and 9.
+    pub plots: Option<PathBuf>,
     /// Folder for pictures of figures 4 and 6.
     pub pictures: Option<PathBuf>,
 }
@@ -44,6 +46,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
         bail!("unknown part '{part}', expected one of {}", PARTS.join(", "));
     }
     let wants = |part: &str| options.part.as_ref().is_none_or(|p| p == part);
+    let plots = options.plots.as_deref();
     let named = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     let (width, passes) = if options.quick { (48, 3) } else { (64, 5) };
     let with_scenes = ["targets", "tables", "fig4", "fig5", "fig6", "fig10", "bias", "refit", "control"];
@@ -56,7 +59,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             if wants("targets") {
                 let peers =
                     options.peers.iter().map(|&p| peer::open(p, &case.mesh)).collect::<Result<Vec<_>>>()?;
-                targets::run(&case, &peers, passes, output)?;
+                targets::run(&case, &peers, passes, plots, output)?;
             }
             if wants("tables") {
                 tables::run(&case, output)?;
@@ -65,7 +68,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
                 pictures::run(&case, if options.quick { 160 } else { 256 }, folder)?;
             }
             if wants("fig5") && source.name == "bush" {
-                figures::variance(&case, if options.quick { 5_000 } else { 50_000 }, output)?;
+                figures::variance(&case, if options.quick { 5_000 } else { 50_000 }, plots, output)?;
             }
             if wants("fig6") {
                 figures::convergence(&case, output)?;
@@ -92,6 +95,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             if options.quick { 60_000 } else { 500_000 },
             if options.quick { 2 } else { 3 },
             width,
+            plots,
             output,
         )?;
     }

@@ -4,10 +4,13 @@ use super::{
     case::{Case, Kind, SOURCES, Source},
     targets::round,
 };
-use crate::rows::{Output, Row, Timed, alternate, median, paired_speedup};
+use crate::{
+    plot::{self, Series},
+    rows::{Output, Row, Timed, alternate, median, paired_speedup},
+};
 use anyhow::Result;
 use serde_json::json;
-use std::{sync::Arc, time::Instant};
+use std::{path::Path, sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters, InstancedBvh, Placement};
 use umbrage_geom::{
     OpticalDepth, Ray, TriangleMesh,
@@ -108,8 +111,15 @@ pub fn refit(case: &Case, output: &mut Output) -> Result<()> {
 }
 
 /// Figure 9: the bush, subdivided linearly, at the same threshold; opaque and semi-opaque.
-pub fn scaling(triangles: usize, levels: u32, width: u32, output: &mut Output) -> Result<()> {
+pub fn scaling(
+    triangles: usize,
+    levels: u32,
+    width: u32,
+    plots: Option<&Path>,
+    output: &mut Output,
+) -> Result<()> {
     let mut first: Vec<[f64; 4]> = Vec::new();
+    let mut series: Vec<Series> = Vec::new();
     for level in 0..=levels {
         let parameters =
             Parameters { triangles: Some(triangles), level: Some(level), ..Parameters::default() };
@@ -138,6 +148,13 @@ pub fn scaling(triangles: usize, levels: u32, width: u32, output: &mut Output) -
                     let (rmse, bias) = case.errors(kind, 16, &answers[i]);
                     let time_s = median(&passes[i]);
                     times[2 * k + i] = time_s;
+                    let opacity = if alpha < 1.0 { "semi-opaque" } else { "opaque" };
+                    let name = format!("{method}, {opacity}, {}", kind.name());
+                    let point = [case.opacity.len() as f64, time_s / cones.len() as f64 * 1e9];
+                    match series.iter_mut().find(|s| s.name == name) {
+                        Some(own) => own.points.push(point),
+                        None => series.push(Series { name, points: vec![point], filled: i == 1 }),
+                    }
                     let base = first.get(row).map_or(time_s, |f| f[2 * k + i]);
                     output.row(&Row {
                         suite: "prefilter",
@@ -168,6 +185,10 @@ pub fn scaling(triangles: usize, levels: u32, width: u32, output: &mut Output) -
                 first.push(times);
             }
         }
+    }
+    if let Some(folder) = plots {
+        let title = "Figure 9: the bush, subdivided, 16 rays at T = 0.2";
+        plot::save(folder, "prefilter-scaling.svg", title, ["triangles", "nanoseconds a ray"], &series)?;
     }
     Ok(())
 }

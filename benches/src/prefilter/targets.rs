@@ -4,12 +4,14 @@ use super::case::{Case, Kind, Workload};
 use crate::{
     entry::{ALPHA, Entry},
     peer::Peer,
+    plot::{self, Series},
     rows::{Output, Row, Timed, alternate, median, note},
 };
 use anyhow::Result;
-use serde_json::{Value, json};
+use serde_json::json;
+use std::path::Path;
 use umbrage_geom::{OpticalDepth, Ray};
-use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
+use umbrage_occlusion::prefilter::{ConeRay, Correlation, PrefilterOptions, Prefiltered, Query};
 
 /// Errors at which times are compared.
 const TARGETS: [f64; 4] = [0.05, 0.04, 0.03, 0.02];
@@ -19,6 +21,12 @@ const EXACT_RAYS: [u32; 7] = [1, 4, 9, 16, 32, 64, 128];
 
 /// Rays a receiver of prefiltered ones.
 const RAYS: [u32; 7] = [1, 2, 4, 8, 16, 32, 64];
+
+/// Attempts to be faster than the default: nodes end rays however near they are; every node above the fifth level, and every
+/// node, may end rays, whatever surface it is part of.
+const ANY_ANGLE: &str = "prefilter-any-angle";
+const HEIGHT_5: &str = "prefilter-height-5";
+const HEIGHT_0: &str = "prefilter-height-0";
 
 /// How a curve's points are computed.
 enum Way<'a> {
@@ -77,12 +85,26 @@ impl Timed for Point<'_> {
     }
 }
 
+/// Prefiltered rays with one setting, whatever their number.
+struct Curve<'a> {
+    method: (&'static str, usize),
+    scene: &'a Prefiltered,
+    query: Query,
+}
+
+/// The threshold of a method's curve; `None` of exact ones.
+fn threshold(curves: &[Curve<'_>], method: (&str, usize)) -> Option<f32> {
+    curves.iter().find(|c| c.method == method).map(|c| c.query.threshold())
+}
+
 /// Time and error of one setting in each pass.
 struct Measured {
     method: (&'static str, usize),
     rays: u32,
     rmse: f64,
     bias: f64,
+    /// Visibility over all rays.
+    mean: f64,
     times: Vec<f64>,
 }
 
@@ -105,93 +127,166 @@ fn time_to(curve: &[&Measured], target: f64, pass: usize) -> Option<f64> {
 fn best_time(all: &[Measured], method: &str, target: f64, pass: usize) -> Option<f64> {
     let curves = all.iter().filter(|m| m.method.0 == method).map(|m| m.method.1).max()?;
     let times = (0..=curves).filter_map(|curve| {
-        let curve: Vec<&Measured> = all.iter().filter(|m| m.method == (method_name(method), curve)).collect();
+        let curve: Vec<&Measured> = all.iter().filter(|m| m.method == (method, curve)).collect();
         time_to(&curve, target, pass)
     });
     times.min_by(f64::total_cmp)
 }
 
-/// The static name of a method.
-fn method_name(name: &str) -> &'static str {
-    ["bvh", "stochastic", "prefilter", "embree"].into_iter().find(|&n| n == name).unwrap_or("")
-}
-
 /// Rows of one scene.
-pub fn run(case: &Case, peers: &[Box<dyn Peer>], passes: usize, output: &mut Output) -> Result<()> {
+pub fn run(
+    case: &Case,
+    peers: &[Box<dyn Peer>],
+    passes: usize,
+    plots: Option<&Path>,
+    output: &mut Output,
+) -> Result<()> {
     let options = PrefilterOptions::default();
     let (scene, build_s) = case.prefiltered(&options)?;
     let bytes = scene.bytes();
+    let bytes = bytes.hierarchy + bytes.opacities + bytes.triangle_opacities;
     let thresholds =
         if let Workload::Shadow = case.source.workload { [0.05f32, 0.1, 0.2] } else { [0.1, 0.3, 0.6] };
+    let height = |k| case.prefiltered(&options.with_correlation(Correlation::Height(k)));
+    let (height_0, height_5) = (height(0.0)?.0, height(5.0)?.0);
+    let mut curves = Vec::new();
+    for (curve, t) in thresholds.into_iter().enumerate() {
+        curves.push(Curve { method: ("prefilter", curve), scene: &scene, query: Query::new(t)? });
+    }
+    let query = case.query();
+    for (name, scene, query) in [
+        (ANY_ANGLE, &scene, query.with_widest(1e3)),
+        (HEIGHT_5, &height_5, query),
+        (HEIGHT_0, &height_0, query),
+    ] {
+        curves.push(Curve { method: (name, 0), scene, query });
+    }
     for kind in Kind::ALL {
         note(&format!("{} {}", case.source.name, kind.name()));
-        let all = measure(case, &scene, kind, &thresholds, peers, passes);
+        let all = measure(case, kind, &curves, peers, passes);
         let count = case.receivers.iter().filter(|r| kind.holds(r)).count();
-        let finest =
-            all.iter().filter(|m| m.method.0 == "prefilter").min_by(|a, b| a.rmse.total_cmp(&b.rmse));
-        let floor = finest.map_or(f64::NAN, |m| m.rmse);
-        for target in TARGETS {
-            for (method, baseline) in [
-                ("prefilter", "bvh"),
-                ("stochastic", "bvh"),
-                ("prefilter", "stochastic"),
-                ("prefilter", "embree"),
-            ] {
-                let pairs: Vec<(f64, f64)> = (0..passes)
-                    .filter_map(|pass| {
-                        let base = best_time(&all, baseline, target, pass)?;
-                        Some((base, best_time(&all, method, target, pass)?))
-                    })
-                    .collect();
-                if pairs.is_empty() {
-                    continue;
-                }
-                let ratios: Vec<f64> = pairs.iter().map(|(base, own)| base / own).collect();
-                let times: Vec<f64> = pairs.iter().map(|p| p.1).collect();
-                output.row(&Row {
-                    suite: "prefilter",
-                    scene: case.source.name.into(),
-                    method: method.into(),
-                    params: json!({
-                        "figure": "1, 7, 8", "receivers": kind.name(), "alpha": round(case.source.alpha),
-                        "triangles": case.opacity.len(), "target_rmse": target, "against": baseline,
-                    }),
-                    time_s: median(&times),
-                    build_s,
-                    mrays_s: 0.0,
-                    rmse: target,
-                    bias: 0.0,
-                    bytes: bytes.hierarchy + bytes.opacities + bytes.triangle_opacities,
-                    counters: json!({ "receivers": count, "floor_rmse": floor }),
-                    baseline: if baseline == "embree" { "embree" } else { "equal-rmse" },
-                    speedup: median(&ratios),
-                })?;
-            }
+        if let (Some(folder), Kind::Whole) = (plots, kind) {
+            plot_curves(case, &all, &curves, count, folder)?;
         }
-        for m in &all {
-            let settings = json!({
-                "figure": "curve", "receivers": kind.name(), "rays": m.rays,
-                "t": if m.method.0 == "prefilter" { json!(round(thresholds[m.method.1])) } else { Value::Null },
-            });
-            let at_same_rays = all.iter().find(|e| e.method.0 == "bvh" && e.rays == m.rays);
+        equal_error_rows(case, kind, &all, count, (build_s, bytes), output)?;
+        curve_rows(case, kind, &all, &curves, count, build_s, output)?;
+    }
+    Ok(())
+}
+
+/// Rows of the time to an error, of one method against another.
+fn equal_error_rows(
+    case: &Case,
+    kind: Kind,
+    all: &[Measured],
+    count: usize,
+    (build_s, bytes): (f64, usize),
+    output: &mut Output,
+) -> Result<()> {
+    let errors = all.iter().filter(|m| m.method.0 == "prefilter").map(|m| m.rmse);
+    let floor = errors.min_by(f64::total_cmp).unwrap_or(f64::NAN);
+    for target in TARGETS {
+        for (method, baseline) in [
+            ("prefilter", "bvh"),
+            ("stochastic", "bvh"),
+            ("prefilter", "stochastic"),
+            ("prefilter", "embree"),
+            (ANY_ANGLE, "bvh"),
+            (HEIGHT_5, "bvh"),
+            (HEIGHT_0, "bvh"),
+        ] {
+            let in_pass =
+                |pass| Some((best_time(all, baseline, target, pass)?, best_time(all, method, target, pass)?));
+            let pairs: Vec<(f64, f64)> = (0..all[0].times.len()).filter_map(in_pass).collect();
+            if pairs.is_empty() {
+                continue;
+            }
+            let ratios: Vec<f64> = pairs.iter().map(|(base, own)| base / own).collect();
+            let times: Vec<f64> = pairs.iter().map(|p| p.1).collect();
             output.row(&Row {
                 suite: "prefilter",
                 scene: case.source.name.into(),
-                method: m.method.0.into(),
-                params: settings,
-                time_s: median(&m.times),
-                build_s: if m.method.0 == "prefilter" { build_s } else { case.bvh_build_s },
-                mrays_s: (count as u32 * m.rays) as f64 / median(&m.times) * 1e-6,
-                rmse: m.rmse,
-                bias: m.bias,
-                bytes: 0,
-                counters: json!({}),
-                baseline: "bvh",
-                speedup: at_same_rays.map_or(f64::NAN, |e| crate::rows::paired_speedup(&e.times, &m.times)),
+                method: method.into(),
+                params: json!({
+                    "figure": "1, 7, 8", "receivers": kind.name(), "alpha": round(case.source.alpha),
+                    "triangles": case.opacity.len(), "target_rmse": target, "against": baseline,
+                }),
+                time_s: median(&times),
+                build_s,
+                mrays_s: 0.0,
+                rmse: target,
+                bias: 0.0,
+                bytes,
+                counters: json!({ "receivers": count, "floor_rmse": floor }),
+                baseline: if baseline == "embree" { "embree" } else { "equal-rmse" },
+                speedup: median(&ratios),
             })?;
         }
     }
     Ok(())
+}
+
+/// Rows of all settings.
+fn curve_rows(
+    case: &Case,
+    kind: Kind,
+    all: &[Measured],
+    curves: &[Curve<'_>],
+    count: usize,
+    build_s: f64,
+    output: &mut Output,
+) -> Result<()> {
+    for m in all {
+        let at_same_rays = all.iter().find(|e| e.method.0 == "bvh" && e.rays == m.rays);
+        output.row(&Row {
+            suite: "prefilter",
+            scene: case.source.name.into(),
+            method: m.method.0.into(),
+            params: json!({
+                "figure": "curve", "receivers": kind.name(), "rays": m.rays,
+                "t": threshold(curves, m.method).map(round),
+            }),
+            time_s: median(&m.times),
+            build_s: if m.method.0.starts_with("prefilter") { build_s } else { case.bvh_build_s },
+            mrays_s: (count as u32 * m.rays) as f64 / median(&m.times) * 1e-6,
+            rmse: m.rmse,
+            bias: m.bias,
+            bytes: 0,
+            counters: json!({
+                // What sampling can't have done: the same rays, over the mean that the reference has.
+                "relative_bias_of_same_rays": at_same_rays.map(|e| (m.mean - e.mean) / (m.mean - m.bias)),
+            }),
+            baseline: "bvh",
+            speedup: at_same_rays.map_or(f64::NAN, |e| crate::rows::paired_speedup(&e.times, &m.times)),
+        })?;
+    }
+    Ok(())
+}
+
+/// Figures 1, 7, 8: error against time a receiver, one line a method and threshold.
+fn plot_curves(
+    case: &Case,
+    all: &[Measured],
+    curves: &[Curve<'_>],
+    count: usize,
+    folder: &Path,
+) -> Result<()> {
+    let mut series: Vec<((&str, usize), Series)> = Vec::new();
+    for m in all {
+        let point = [median(&m.times) / count as f64 * 1e6, m.rmse];
+        if let Some((_, own)) = series.iter_mut().find(|(method, _)| *method == m.method) {
+            own.points.push(point);
+            continue;
+        }
+        let t = threshold(curves, m.method);
+        let name = t.map_or(m.method.0.into(), |t| format!("{}, T = {t}", m.method.0));
+        series.push((m.method, Series { name, points: vec![point], filled: t.is_some() }));
+    }
+    let series: Vec<Series> = series.into_iter().map(|(_, series)| series).collect();
+    let name = case.source.name;
+    let title = format!("{name}, {} triangles, whole image", case.opacity.len());
+    let labels = ["microseconds a receiver", "RMSE of visibility"];
+    plot::save(folder, &format!("prefilter-error-{name}.svg"), &title, labels, &series)
 }
 
 /// A number as people write it.
@@ -202,9 +297,8 @@ pub fn round(x: f32) -> f64 {
 /// All settings on the receivers of one kind.
 fn measure(
     case: &Case,
-    scene: &Prefiltered,
     kind: Kind,
-    thresholds: &[f32],
+    curves: &[Curve<'_>],
     peers: &[Box<dyn Peer>],
     passes: usize,
 ) -> Vec<Measured> {
@@ -226,10 +320,9 @@ fn measure(
     for (rays, cones, plain) in &sets {
         points.extend(exact_points(case, kind, *rays, cones, plain, peers));
         if RAYS.contains(rays) {
-            for (curve, &t) in thresholds.iter().enumerate() {
-                let query = Query::new(t).expect("above 0");
-                let way = Way::Prefiltered(scene, query);
-                points.push(point(case, kind, ("prefilter", curve), *rays, cones, plain, way));
+            for curve in curves {
+                let way = Way::Prefiltered(curve.scene, curve.query);
+                points.push(point(case, kind, curve.method, *rays, cones, plain, way));
             }
         }
     }
@@ -237,7 +330,8 @@ fn measure(
     let times = alternate(passes, &mut timed);
     let measured = points.iter().zip(times).map(|(point, times)| {
         let (rmse, bias) = case.errors(point.kind, point.rays, &point.passed);
-        Measured { method: point.method, rays: point.rays, rmse, bias, times }
+        let mean = point.passed.iter().map(|&x| f64::from(x)).sum::<f64>() / point.passed.len() as f64;
+        Measured { method: point.method, rays: point.rays, rmse, bias, mean, times }
     });
     measured.collect()
 }

@@ -7,7 +7,6 @@ mod embree;
 mod figures;
 mod frame;
 mod pictures;
-mod plot;
 mod scenes;
 mod study;
 

@@ -5,11 +5,13 @@ use super::{
     Options, cracks,
     figures::{ROOM, row},
     frame::{Frame, Method, Reference, Setting, Shadows, render},
-    plot::{Point, svg},
     scenes::Scene,
 };
-use crate::rows::{Output, Row};
-use anyhow::{Context, Result};
+use crate::{
+    plot::{self, Series},
+    rows::{Output, Row},
+};
+use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
 use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, TraceOptions};
@@ -82,10 +84,9 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
                 let found = cracks::count(scene, method, reference, views, size)?;
                 add_found(&mut row, &found);
             }
-            points.push(Point {
+            points.push(Series {
                 name: format!("{} ({:.1} MB)", method.name, row.bytes as f64 * 1e-6),
-                x: row.time_s + row.build_s,
-                y: row.rmse,
+                points: vec![[row.time_s + row.build_s, row.rmse]],
                 filled: method.trace.borders != Borders::Open || method.trace.footprint.is_by_edges(),
             });
             output.row(&row)?;
@@ -93,10 +94,7 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
         if let Some(folder) = options.plots.as_ref().filter(|_| name == "study normal") {
             let title = format!("{}, {size} x {size}, 5 lights; open circles may have cracks", scene.name);
             let labels = ["time of the frame, seconds", "RMSE from the limit surface"];
-            let path = folder.join(format!("reyes-{}-study.svg", scene.name));
-            std::fs::create_dir_all(folder)?;
-            std::fs::write(&path, svg(&title, labels, &points))
-                .with_context(|| path.display().to_string())?;
+            plot::save(folder, &format!("reyes-{}-study.svg", scene.name), &title, labels, &points)?;
         }
     }
     Ok(())

@@ -1,0 +1,129 @@
+//! Masks against the rays that they answer.
+
+use super::*;
+
+/// A record of dumped rays, and whether the ray was found blocked.
+fn dumped(record: &[u8]) -> (Ray, bool) {
+    let word = |i: usize| <[u8; 4]>::try_from(&record[4 * i..][..4]).unwrap();
+    let f = |i: usize| f32::from_le_bytes(word(i));
+    let (origin, direction) = (Vec3::new(f(0), f(1), f(2)), Vec3::new(f(4), f(5), f(6)));
+    (Ray { origin, tnear: f(3), direction, tfar: f(7) }, u32::from_le_bytes(word(8)) == 1)
+}
+
+#[test]
+fn masks_have_the_answers_of_their_rays() {
+    let (globe, floor) = (sphere(10), quad([-4.0, -1.01, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]));
+    let solid = Occluders::build(&[&globe, &floor], Ground::Absent).unwrap();
+    let veiled = Occluders::build(&[&globe, &transparent(floor.clone(), 0.4)], Ground::Absent).unwrap();
+    let map = TexelMap::new(&globe, 24, 12, VAxis::Up).unwrap();
+    let all = [
+        Receivers::vertices(&globe, NormalSource::Smooth).unwrap(),
+        Receivers::vertices(&globe, NormalSource::Geometric).unwrap(),
+        map.receivers(&globe, NormalSource::Smooth).unwrap(),
+    ];
+    let methods = [(MaskMethod::Table, 0.02), (MaskMethod::Exact, 0.0)];
+    for ((receivers, (method, most)), occluders) in
+        all.iter().flat_map(|r| methods.map(|m| (r, m))).zip([&solid, &solid, &solid, &veiled].iter().cycle())
+    {
+        if method == MaskMethod::Table && !occluders.is_opaque() {
+            continue;
+        }
+        let options = BakeOptions::default().with_rays(256).with_radius(Radius::Absolute(3.0));
+        let mut reference = vec![0.0; receivers.len()];
+        bake(occluders, receivers, &options, Shard::WHOLE, &mut reference, &mut |_| true).unwrap();
+        let masks =
+            |shard, ao: &mut [f32], dump: Option<&mut dyn std::io::Write>, bent: Option<&mut [[f32; 3]]>| {
+                let extras = MaskExtras { dump, bent_normals: bent };
+                bake_masks(occluders, receivers, &options, method, shard, ao, extras, &mut |_| true).unwrap();
+            };
+        let (mut ao, mut rays) = (vec![f32::NAN; receivers.len()], Vec::new());
+        let mut bent = vec![[f32::NAN; 3]; receivers.len()];
+        masks(Shard::WHOLE, &mut ao, Some(&mut rays), Some(&mut bent));
+        let error = ao.iter().zip(&reference).map(|(a, b)| (a - b).abs()).sum::<f32>() / ao.len() as f32;
+        let least = reference.iter().copied().fold(1.0, f32::min);
+        assert!(error < 0.015 && least < 0.8, "error {error}, least {least}, {method:?}");
+        assert!(bent.iter().all(|&n| (Vec3::from(n).length() - 1.0).abs() < 1e-5));
+        let mut parts = vec![f32::NAN; receivers.len()];
+        for index in 0..3 {
+            masks(Shard { index, count: 3 }, &mut parts, None, None);
+        }
+        let close = |(a, b): (&f32, &f32)| (a - b).abs() < 1e-6;
+        assert!(parts.iter().zip(&ao).all(close), "{method:?}");
+        // The rays written down, cast one by one; semi-transparent triangles let all of them pass.
+        let count = rays.len() / 36;
+        assert!(count >= receivers.len() * 256 && count.is_multiple_of(256));
+        let (mut differ, mut passed) = (0, Vec::new());
+        for record in rays.chunks(36) {
+            let (ray, blocked) = dumped(record);
+            assert!(ray.is_valid() && ray.tfar == 3.0);
+            let depth = occluders.bvh().transmittance(&ray, |prim| occluders.depth_of(prim));
+            differ += usize::from(depth.is_opaque() != blocked);
+            passed.push(depth.transmittance());
+        }
+        assert!(differ as f64 <= most * count as f64, "{method:?}: {differ} of {count}");
+        if method == MaskMethod::Exact && count == receivers.len() * 256 {
+            // Dumped in the order of receivers that a bake has.
+            let mut means: Vec<f32> = passed
+                .chunks(256)
+                .map(|p| (p.iter().map(|&x| f64::from(x)).sum::<f64>() / 256.0) as f32)
+                .collect();
+            let mut sorted = ao.clone();
+            means.sort_by(f32::total_cmp);
+            sorted.sort_by(f32::total_cmp);
+            assert_eq!(means, sorted);
+        }
+    }
+}
+
+#[test]
+fn convex_surfaces_are_open_to_masks_around_shading_normals() {
+    let globe = sphere(6);
+    let occluders = Occluders::build(&[&globe], Ground::Absent).unwrap();
+    let receivers =
+        TexelMap::new(&globe, 16, 8, VAxis::Up).unwrap().receivers(&globe, NormalSource::Smooth).unwrap();
+    let mut ao = vec![f32::NAN; receivers.len()];
+    let (options, extras) = (BakeOptions::default().with_rays(1024), MaskExtras::default());
+    let method = MaskMethod::Exact;
+    bake_masks(&occluders, &receivers, &options, method, Shard::WHOLE, &mut ao, extras, &mut |_| true)
+        .unwrap();
+    assert!(ao.iter().all(|&ao| ao == 1.0));
+}
+
+#[test]
+fn rays_that_start_inside_are_free_where_fronts_must_come_first() {
+    let globe = sphere(6);
+    let occluders = Occluders::build(&[&globe], Ground::Absent).unwrap();
+    let receivers = Receivers::from_points(&[[0.0; 3], [0.0, 3.0, 0.0]], &[UP, [0.0, -1.0, 0.0]]).unwrap();
+    let options = BakeOptions::default().with_sides(Sides::FrontFirst);
+    let (mut by_rays, mut by_masks) = ([0.0; 2], [0.0; 2]);
+    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut by_rays, &mut |_| true).unwrap();
+    let extras = MaskExtras::default();
+    let method = MaskMethod::Exact;
+    bake_masks(&occluders, &receivers, &options, method, Shard::WHOLE, &mut by_masks, extras, &mut |_| true)
+        .unwrap();
+    for ao in [by_rays, by_masks] {
+        assert!(ao[0] == 1.0 && (ao[1] - 8.0 / 9.0).abs() < 0.03, "{ao:?}");
+    }
+}
+
+#[test]
+fn masks_name_what_they_cannot_do() {
+    let globe = sphere(4);
+    let receivers = Receivers::vertices(&globe, NormalSource::Smooth).unwrap();
+    let mut ao = vec![-1.0; receivers.len()];
+    let opaque = Occluders::build(&[&globe], Ground::Absent).unwrap();
+    let veil = Occluders::build(&[&transparent(globe.clone(), 0.5)], Ground::Absent).unwrap();
+    let mut call = |occluders: &Occluders, rays: u32, method, sides, go_on: bool| {
+        let options = BakeOptions::default().with_rays(rays).with_sides(sides);
+        let extras = MaskExtras::default();
+        bake_masks(occluders, &receivers, &options, method, Shard::WHOLE, &mut ao, extras, &mut |_| go_on)
+    };
+    for method in [MaskMethod::Table, MaskMethod::Exact] {
+        let odd = call(&opaque, 33, method, Sides::Both, true);
+        assert!(matches!(odd, Err(BakeError::Mask(umbrage_aomask::MaskError::Rays(33)))));
+        assert!(matches!(call(&opaque, 64, method, Sides::Both, false), Err(BakeError::Cancelled)));
+        assert!(matches!(call(&veil, 64, method, Sides::FrontFirst, true), Err(BakeError::SemiTransparent)));
+    }
+    assert!(matches!(call(&veil, 64, MaskMethod::Table, Sides::Both, true), Err(BakeError::SemiTransparent)));
+    assert!(ao.iter().all(|&ao| ao == -1.0));
+}
