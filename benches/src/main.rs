@@ -40,7 +40,7 @@ struct Arguments {
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
     /// Only this part of a suite; anyhit: choices; aomask: targets, mask, fans, prefilter, bits, table1, table2, figure5,
-    /// figure6, figure7; prefilter: targets, tables, fig4, fig5, fig6, fig9, fig10, bias, refit, control, forest.
+    /// figure6, figure7; prefilter: targets, fig1, tables, fig4, fig5, fig6, fig9, fig10, bias, refit, control, forest.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
     /// Pixels along a side of the images of suite reyes: 96 if quick, else 1024.
@@ -52,7 +52,7 @@ struct Arguments {
     /// Folder for plots of suites prefilter and reyes, beside rows.
     #[arg(long, value_name = "FOLDER")]
     plots: Option<PathBuf>,
-    /// Folder for pictures; suites aomask, prefilter (figures 4 and 6), reyes and volumetric.
+    /// Folder for pictures; suites aomask, prefilter (figures 1, 4, 6, 7 and 8), reyes and volumetric.
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
 }

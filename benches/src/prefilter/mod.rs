@@ -3,6 +3,7 @@
 mod case;
 mod figures;
 mod pictures;
+mod showcase;
 mod tables;
 mod targets;
 
@@ -24,13 +25,15 @@ pub struct Options {
     pub part: Option<String>,
     /// Folder for plots of figures 1, 5, 7, 8 and 9.
     pub plots: Option<PathBuf>,
-    /// Folder for pictures of figures 4 and 6.
+    /// Folder for pictures of figures 1, 4, 6, 7 and 8.
     pub pictures: Option<PathBuf>,
 }
 
 /// Parts of the suite, in order.
-pub const PARTS: [&str; 11] =
-    ["targets", "tables", "fig4", "fig5", "fig6", "fig9", "fig10", "bias", "refit", "control", "forest"];
+pub const PARTS: [&str; 12] = [
+    "targets", "fig1", "tables", "fig4", "fig5", "fig6", "fig9", "fig10", "bias", "refit", "control",
+    "forest",
+];
 
 /// Most triangles in the quick form.
 const QUICK_TRIANGLES: usize = 300_000;
@@ -49,7 +52,8 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     let plots = options.plots.as_deref();
     let named = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     let (width, passes) = if options.quick { (48, 3) } else { (64, 5) };
-    let with_scenes = ["targets", "tables", "fig4", "fig5", "fig6", "fig10", "bias", "refit", "control"];
+    let with_scenes =
+        ["targets", "fig1", "tables", "fig4", "fig5", "fig6", "fig10", "bias", "refit", "control"];
     if with_scenes.iter().any(|part| wants(part)) {
         for source in SOURCES.into_iter().filter(|s| named(s.name)) {
             let triangles =
@@ -61,11 +65,15 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
                     options.peers.iter().map(|&p| peer::open(p, &case.mesh)).collect::<Result<Vec<_>>>()?;
                 targets::run(&case, &peers, passes, plots, output)?;
             }
+            let across = if options.quick { 160 } else { 256 };
+            if wants("fig1") {
+                showcase::run(&case, across, passes, options.pictures.as_deref(), output)?;
+            }
             if wants("tables") {
                 tables::run(&case, output)?;
             }
             if let (true, Some(folder)) = (wants("fig4"), &options.pictures) {
-                pictures::run(&case, if options.quick { 160 } else { 256 }, folder)?;
+                pictures::run(&case, across, folder)?;
             }
             if wants("fig5") && source.name == "bush" {
                 figures::variance(&case, if options.quick { 5_000 } else { 50_000 }, plots, output)?;
