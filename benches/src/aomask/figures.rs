@@ -175,7 +175,7 @@ fn figure6(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let picture = Picture::new(case, options.quick);
     let diagonal = f64::from(case.mesh.bounds().diagonal());
     let radii: &[f64] =
-        if options.quick { &[0.005, 0.02, 0.08] } else { &[0.0025, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16] };
+        if options.quick { &[0.005, 0.02, 0.08] } else { &[0.0025, 0.005, 0.01, 0.02, 0.04, 0.08] };
     for &radius in radii {
         let mask_options = MaskOptions::default().with_radius((radius * diagonal) as f32);
         let rays_s = measure::rays_per_second(case, &picture, &pattern, &mask_options, 7);
