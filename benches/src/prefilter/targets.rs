@@ -22,8 +22,10 @@ const EXACT_RAYS: [u32; 7] = [1, 4, 9, 16, 32, 64, 128];
 /// Rays a receiver of prefiltered ones.
 const RAYS: [u32; 7] = [1, 2, 4, 8, 16, 32, 64];
 
-/// Attempts to be faster than the default: nodes end rays however near they are; every node above the fifth level, and every
-/// node, may end rays, whatever surface it is part of.
+/// Attempts to be better than the default: nodes end rays however near they are, or only from twice and four times as far;
+/// every node from the fifth level on, and every node, may end rays, whatever surface it is part of.
+const FAR_2: &str = "prefilter-far-2";
+const FAR_4: &str = "prefilter-far-4";
 const ANY_ANGLE: &str = "prefilter-any-angle";
 const HEIGHT_5: &str = "prefilter-height-5";
 const HEIGHT_0: &str = "prefilter-height-0";
@@ -156,6 +158,8 @@ pub fn run(
     let query = case.query();
     for (name, scene, query) in [
         (ANY_ANGLE, &scene, query.with_widest(1e3)),
+        (FAR_2, &scene, query.with_widest(0.5 * Query::WIDEST)),
+        (FAR_4, &scene, query.with_widest(0.25 * Query::WIDEST)),
         (HEIGHT_5, &height_5, query),
         (HEIGHT_0, &height_0, query),
     ] {
@@ -192,6 +196,8 @@ fn equal_error_rows(
             ("prefilter", "stochastic"),
             ("prefilter", "embree"),
             (ANY_ANGLE, "bvh"),
+            (FAR_2, "bvh"),
+            (FAR_4, "bvh"),
             (HEIGHT_5, "bvh"),
             (HEIGHT_0, "bvh"),
         ] {
