@@ -8,7 +8,7 @@ use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
+    BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
     coarse::{
         self, Cones, FarField,
         field::{FieldCones, FieldOptions, MarchOptions, OpacityField},
@@ -91,43 +91,21 @@ struct Run<'a> {
 
 impl Timed for Run<'_> {
     fn run(&mut self) {
-        self.case
-            .one
-            .install(|| match &self.far {
-                Far::None => {
-                    let outputs = Outputs::new(&mut self.ao);
-                    let (bvh, best) = (self.case.ours.bvh(), BackEnd::best());
-                    exact::answer_receivers(
-                        bvh,
-                        self.pattern,
-                        self.receivers,
-                        self.options,
-                        best,
-                        outputs,
-                        &mut |_| true,
-                    )
-                }
+        let Self { case, pattern, receivers, options, far, ao } = self;
+        let (bvh, best, outputs) = (case.ours.bvh(), BackEnd::best(), Outputs::new(ao));
+        let silent = &mut |_| true;
+        case.one
+            .install(|| match far {
+                Far::None => exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, silent),
                 Far::Nodes(far) => {
-                    coarse(self.case, far, self.pattern, self.receivers, self.options, &mut self.ao)
+                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, silent)
                 }
                 Far::Field(far) => {
-                    coarse(self.case, far, self.pattern, self.receivers, self.options, &mut self.ao)
+                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, silent)
                 }
             })
             .expect("valid arguments");
     }
-}
-
-fn coarse(
-    case: &Case,
-    far: &impl FarField,
-    pattern: &Pattern,
-    receivers: &[Receiver],
-    options: &MaskOptions,
-    ao: &mut [f32],
-) -> Result<(), MaskError> {
-    let (bvh, best, outputs) = (case.ours.bvh(), BackEnd::best(), Outputs::new(ao));
-    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, &mut |_| true)
 }
 
 /// Both kinds of stored opacity and how long they took.

@@ -1,10 +1,11 @@
-//! Directional opacity of space in cells of several sizes, after voxel cone tracing (`[Crassin11]`).
+//! Directional opacity of space in cells of several sizes, after voxel cone tracing (Crassin et al. 2011).
 //!
 //! Here: making the field, and cones that march through it. Not here: which lines meet which triangles (`voxelize.rs`).
 //!
-//! A cell of every level stores for each of 13 directions (towards the faces, edges and corners of a cube; opposite ones are the
-//! same) the extinction that explains which share of parallel lines its triangles block. A cone looks up the direction nearest to
-//! its own, in cells that grow with its width, and multiplies what passes.
+//! Each of 13 directions (towards the faces, edges and corners of a cube; opposite ones are the same) has a grid of its own, turned to
+//! it. A cell of every level stores the optical depth that explains which share of the lines along its direction its triangles
+//! block, given that nothing blocked them in the cell before. A cone looks up the grid whose direction is nearest to its own, in
+//! cells that grow with its width, cell by cell.
 
 use super::{
     Cones, FarField,
