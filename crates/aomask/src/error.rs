@@ -30,16 +30,19 @@ pub enum MaskError {
     /// Rays of different lengths need a finite radius that they refer to.
     #[error("a falloff other than constant needs a finite radius")]
     FalloffWithoutRadius,
-    /// A table can't have that many cells.
+    /// A table or field can't have that many cells.
     #[error("{value} cells along the table of {what}: expected 8 to {limit}")]
     Resolution {
-        /// `planes` or `edges`.
+        /// `planes`, `edges` or `far opacity`.
         what: &'static str,
         /// The resolution.
         value: u32,
         /// Largest possible value.
         limit: u32,
     },
+    /// Cells of a field can't have that shape.
+    #[error("cells {0} times as long as wide: expected 0.25 to 16")]
+    Elongation(f32),
     /// The back end needs instructions that this processor lacks.
     #[error("this processor has no support for the back end {0:?}")]
     BackEnd(BackEnd),

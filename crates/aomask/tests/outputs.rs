@@ -241,13 +241,23 @@ fn what_can_not_be_answered_is_refused() {
     assert!(blocked(Sides::Both) && !blocked(Sides::Front) && !blocked(Sides::FrontFirst));
 }
 
-/// Exact, as far as a far field can be.
-struct ExactField<'a>(&'a Scene);
+/// Exact beyond a distance, as far as a far field can be.
+struct ExactField<'a>(&'a Scene, f32);
 
 impl umbrage_aomask::coarse::FarField for ExactField<'_> {
-    fn transmittances(&self, rays: &[umbrage_geom::Ray], solid_angles: &[f32], passed: &mut [f32]) {
-        assert!(solid_angles.iter().all(|angle| *angle > 0.0));
-        rays.iter().zip(passed).for_each(|(ray, out)| *out = f32::from(u8::from(!self.0.bvh.any_hit(ray))));
+    fn near(&self) -> f32 {
+        self.1
+    }
+
+    fn bundle(&self) -> usize {
+        1
+    }
+
+    fn transmittances(&self, cones: &umbrage_aomask::coarse::Cones, passed: &mut [f32]) {
+        for ((ray, solid_angle), out) in cones.rays(self.1).zip(passed) {
+            assert!(solid_angle > 0.0);
+            *out = f32::from(u8::from(!self.0.bvh.any_hit(&ray)));
+        }
     }
 }
 
@@ -264,8 +274,7 @@ fn masks_with_an_exact_far_field_are_exact() {
         let best = BackEnd::best();
         umbrage_aomask::coarse::answer_receivers(
             &scene.bvh,
-            &ExactField(&scene),
-            near,
+            &ExactField(&scene, near),
             &pattern,
             &asked,
             options,

@@ -7,7 +7,7 @@ use crate::{RenderError, geometry::Geometry, volumetric};
 use umbrage_accel::{Bvh, Counters, Statistics};
 use umbrage_aomask::{
     BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, TableOptions,
-    coarse::{self, FarField},
+    coarse::{self, Cones, FarField},
     exact,
 };
 use umbrage_geom::{Falloff, Ray, glam::Vec3};
@@ -143,32 +143,44 @@ const AO_THRESHOLD: f32 = 0.3;
 /// Near occluders block in `mask-prefilter`, up to this share of the radius or, where there is none, of the diagonal.
 pub(crate) const NEAR: f32 = 0.1;
 
-impl FarField for PrefilteredRays<'_> {
-    fn transmittances(&self, rays: &[Ray], solid_angles: &[f32], passed: &mut [f32]) {
+/// [`PrefilteredRays`] beyond a distance.
+struct Far<'a> {
+    rays: PrefilteredRays<'a>,
+    near: f32,
+}
+
+impl FarField for Far<'_> {
+    fn near(&self) -> f32 {
+        self.near
+    }
+
+    fn bundle(&self) -> usize {
+        1
+    }
+
+    fn transmittances(&self, cones: &Cones, passed: &mut [f32]) {
         let cones: Vec<ConeRay> =
-            rays.iter().zip(solid_angles).map(|(&ray, &solid_angle)| ConeRay { ray, solid_angle }).collect();
-        self.answer(&cones, passed, &mut ());
+            cones.rays(self.near).map(|(ray, solid_angle)| ConeRay { ray, solid_angle }).collect();
+        self.rays.answer(&cones, passed, &mut ());
     }
 }
 
 /// All ambient rays of a receiver as one mask.
 struct Masks<'a> {
     rays: SingleRays<'a>,
-    /// For [`Way::Prefiltered`].
-    far: Option<PrefilteredRays<'a>>,
     bvh: &'a Bvh,
-    way: Way,
+    way: Way<'a>,
     options: MaskOptions,
 }
 
 /// How masks are found.
-enum Way {
+enum Way<'a> {
     /// The bits of single rays.
     Exact(Pattern),
     /// From tables: approximate.
     Tables(Box<MaskTables>),
     /// Exact up to a distance, prefiltered beyond it: approximate.
-    Prefiltered(Pattern, f32),
+    Prefiltered(Pattern, Far<'a>),
 }
 
 impl<'a> Masks<'a> {
@@ -184,31 +196,23 @@ impl<'a> Masks<'a> {
         options.validate(&pattern)?;
         let way = match name {
             MASK_TABLE => Way::Tables(Box::new(MaskTables::new(pattern, &TableOptions::default())?)),
-            MASK_PREFILTER => Way::Prefiltered(pattern, NEAR * sky.radius.min(geometry.bounds().diagonal())),
+            MASK_PREFILTER => {
+                let rays = PrefilteredRays::new(geometry, AO_THRESHOLD)?;
+                let near = NEAR * sky.radius.min(geometry.bounds().diagonal());
+                Way::Prefiltered(pattern, Far { rays, near })
+            }
             _ => Way::Exact(pattern),
         };
-        let far =
-            (name == MASK_PREFILTER).then(|| PrefilteredRays::new(geometry, AO_THRESHOLD)).transpose()?;
-        Ok(Self { rays: SingleRays { geometry, name }, far, bvh, way, options })
+        Ok(Self { rays: SingleRays { geometry, name }, bvh, way, options })
     }
 
     fn answer(&self, receivers: &[Receiver], open: &mut [f32]) -> Result<(), MaskError> {
         let (bvh, options, outputs) = (self.bvh, &self.options, Outputs::new(open));
         match &self.way {
             Way::Tables(tables) => tables.answer_receivers(bvh, receivers, options, outputs, &mut |_| true),
-            Way::Prefiltered(pattern, near) => {
-                let (best, far) = (BackEnd::best(), self.far.as_ref().expect("made with the way"));
-                coarse::answer_receivers(
-                    bvh,
-                    far,
-                    *near,
-                    pattern,
-                    receivers,
-                    options,
-                    best,
-                    outputs,
-                    &mut |_| true,
-                )
+            Way::Prefiltered(pattern, far) => {
+                let best = BackEnd::best();
+                coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, &mut |_| true)
             }
             Way::Exact(pattern) if self.rays.geometry.is_opaque() => {
                 let best = BackEnd::best();

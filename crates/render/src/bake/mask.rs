@@ -212,13 +212,13 @@ impl Job<'_> {
     }
 
     fn prefilter(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let far = self.occluders.far().ok_or(BakeError::NotPrefiltered)?;
         let near = crate::method::NEAR * self.options.radius.min(self.occluders.diagonal());
+        let far = self.occluders.far(near).ok_or(BakeError::NotPrefiltered)?;
         let (bvh, best) = (self.occluders.bvh(), BackEnd::best());
         let all: Vec<usize> = (0..self.asked.len()).collect();
         self.by_masks(&all, |receivers, outputs| {
             let (pattern, options) = (self.pattern, self.options);
-            coarse::answer_receivers(bvh, &far, near, pattern, receivers, options, best, outputs, progress)
+            coarse::answer_receivers(bvh, &far, pattern, receivers, options, best, outputs, progress)
         })
     }
 

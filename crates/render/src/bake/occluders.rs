@@ -2,7 +2,7 @@
 
 use super::{BakeError, Sides};
 use umbrage_accel::{BuildOptions, Bvh};
-use umbrage_aomask::coarse::FarField;
+use umbrage_aomask::coarse::{Cones, FarField};
 use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
@@ -40,12 +40,21 @@ const THRESHOLD: f32 = 0.3;
 pub(super) struct Far<'a> {
     scene: &'a Prefiltered,
     query: &'a Query,
+    near: f32,
 }
 
 impl FarField for Far<'_> {
-    fn transmittances(&self, rays: &[Ray], solid_angles: &[f32], passed: &mut [f32]) {
+    fn near(&self) -> f32 {
+        self.near
+    }
+
+    fn bundle(&self) -> usize {
+        1
+    }
+
+    fn transmittances(&self, cones: &Cones, passed: &mut [f32]) {
         let cones: Vec<ConeRay> =
-            rays.iter().zip(solid_angles).map(|(&ray, &solid_angle)| ConeRay { ray, solid_angle }).collect();
+            cones.rays(self.near).map(|(ray, solid_angle)| ConeRay { ray, solid_angle }).collect();
         self.scene.transmittances_with(&cones, self.query, passed, &mut ());
     }
 }
@@ -122,9 +131,9 @@ impl Occluders {
         self.prefiltered.is_some()
     }
 
-    /// The prefiltered occluders as what lies far away.
-    pub(super) fn far(&self) -> Option<Far<'_>> {
-        self.prefiltered.as_ref().map(|(scene, query)| Far { scene, query })
+    /// The prefiltered occluders as what lies beyond `near`.
+    pub(super) fn far(&self, near: f32) -> Option<Far<'_>> {
+        self.prefiltered.as_ref().map(|(scene, query)| Far { scene, query, near })
     }
 
     /// Bounds of the meshes, without the ground.

@@ -1,0 +1,214 @@
+//! Method `mask-prefilter`: exact masks up to a distance, stored opacity beyond it. Approximate.
+//!
+//! Here: how both parts of a ray make one answer. Not here: the stored opacity, which is whatever implements [`FarField`], such as
+//! `field.rs`.
+
+pub mod field;
+mod voxelize;
+
+use crate::{
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
+    drive::{self, Engine},
+    exact::{Masks, Walks},
+    gather::Answers,
+};
+use umbrage_accel::Bvh;
+use umbrage_geom::{Ray, glam::Vec3};
+
+/// Bundles of rays of one receiver.
+#[derive(Clone, Debug, Default)]
+pub struct Cones {
+    /// Where all start.
+    pub origin: Vec3,
+    /// By axis: unit vectors.
+    pub directions: [Vec<f32>; 3],
+    /// Where they end, world units.
+    pub lengths: Vec<f32>,
+    /// Solid angles, steradians.
+    pub solid_angles: Vec<f32>,
+}
+
+impl Cones {
+    /// Each as a ray from `near` (world units) to its end, with its solid angle.
+    pub fn rays(&self, near: f32) -> impl ExactSizeIterator<Item = (Ray, f32)> + '_ {
+        let [x, y, z] = &self.directions;
+        (0..self.lengths.len()).map(move |i| {
+            let direction = Vec3::new(x[i], y[i], z[i]);
+            // Both segments are open: no hit falls between them.
+            let ray = Ray { origin: self.origin, direction, tnear: near.next_down(), tfar: self.lengths[i] };
+            (ray, self.solid_angles[i])
+        })
+    }
+}
+
+/// Something that knows, approximately, how much light passes along bundles of rays.
+pub trait FarField: Sync {
+    /// Where exact answers end and those of the field start, world units.
+    fn near(&self) -> f32;
+
+    /// Most neighbouring rays that one cone may stand for, at least 1. Rays of different lengths are never bundled.
+    fn bundle(&self) -> usize;
+
+    /// Writes the fraction of light that passes along each cone from [`Self::near`] on.
+    fn transmittances(&self, cones: &Cones, passed: &mut [f32]);
+}
+
+/// Ambient occlusion of `receivers`: rays that nothing blocks up to [`FarField::near`] (exactly, among the triangles of `bvh`) are
+/// answered by `far` from there on. `ao`, bent normals and sectors are means over the rays of what passes; masks have the
+/// rays that nothing passes.
+///
+/// # Errors
+/// As for [`crate::exact::answer_receivers`]; [`MaskError::Radius`] unless [`FarField::near`] is more than 0;
+/// [`MaskError::Unsupported`] for distances and for sides other than both.
+#[allow(clippy::too_many_arguments)] // what there is to say
+pub fn answer_receivers(
+    bvh: &Bvh,
+    far: &impl FarField,
+    pattern: &Pattern,
+    receivers: &[Receiver],
+    options: &MaskOptions,
+    back_end: BackEnd,
+    outputs: Outputs<'_>,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), MaskError> {
+    let near = far.near();
+    if near.is_nan() || near <= 0.0 {
+        return Err(MaskError::Radius(near));
+    }
+    if options.sides != Sides::Both {
+        return Err(MaskError::Unsupported("sides of far triangles"));
+    }
+    outputs.validate_for_tables()?;
+    let masks = Masks::new(bvh, pattern, options, near, back_end, &outputs)?;
+    let bundles = Bundles::new(pattern, options.radius, far.bundle());
+    drive::run(&Coarse { masks, far, bundles }, pattern, options, receivers, outputs, progress)
+}
+
+/// Rays of a pattern and the runs of neighbours that share a cone.
+struct Bundles {
+    /// Rays of each, a power of two.
+    rays: usize,
+    /// By axis: unit vectors in the pattern's frame, by ray.
+    directions: [Vec<f32>; 3],
+    /// World units, by ray.
+    lengths: Vec<f32>,
+    /// Steradians, by bundle.
+    solid_angles: Vec<f32>,
+}
+
+impl Bundles {
+    fn new(pattern: &Pattern, radius: f32, most: usize) -> Self {
+        let most = if pattern.has_equal_lengths() { most.clamp(1, 32) } else { 1 };
+        // A power of two, of which a word of a mask holds a whole number; so does a pattern.
+        let rays = 1 << most.ilog2();
+        let share = std::f32::consts::PI / pattern.len() as f32;
+        let angle = |run: &[Vec3]| run.iter().map(|d| share / d.z.max(1e-3)).sum();
+        Self {
+            rays,
+            directions: [0, 1, 2].map(|axis| pattern.directions().iter().map(|d| d[axis]).collect()),
+            lengths: pattern.lengths().iter().map(|length| radius * length).collect(),
+            solid_angles: pattern.directions().chunks(rays).map(angle).collect(),
+        }
+    }
+}
+
+struct Coarse<'a, F> {
+    masks: Masks<'a>,
+    far: &'a F,
+    bundles: Bundles,
+}
+
+/// What a thread keeps.
+struct Scratch {
+    walks: Walks,
+    cones: Cones,
+    /// Numbers of the cones' bundles.
+    which: Vec<usize>,
+    /// Numbers of the rays along which they go.
+    chosen: Vec<usize>,
+    /// What passes along each cone.
+    passed: Vec<f32>,
+}
+
+impl<F: FarField> Engine for Coarse<'_, F> {
+    type Scratch = Scratch;
+
+    fn scratch(&self) -> Scratch {
+        Scratch {
+            walks: self.masks.scratch(),
+            cones: Cones::default(),
+            which: Vec::new(),
+            chosen: Vec::new(),
+            passed: Vec::new(),
+        }
+    }
+
+    fn answer(&self, receivers: &[Receiver], answers: &mut Answers, scratch: &mut Scratch) {
+        self.masks.answer(receivers, answers, &mut scratch.walks);
+        let (rays, words) = (self.masks.pattern.len(), self.masks.pattern.words());
+        answers.passed.clear();
+        answers.passed.resize(receivers.len() * rays, 0.0);
+        let passed = answers.passed.chunks_mut(rays);
+        for ((receiver, mask), passed) in receivers.iter().zip(answers.masks.chunks_mut(words)).zip(passed) {
+            self.open(receiver, mask, passed, scratch);
+            self.far.transmittances(&scratch.cones, &mut scratch.passed);
+            self.bundles.spread(mask, passed, scratch);
+        }
+    }
+}
+
+impl<F: FarField> Coarse<'_, F> {
+    /// Collects the cones of bundles that have a ray which `mask` leaves open: each along one of these. Rays that end before
+    /// the far field are answered.
+    fn open(&self, receiver: &Receiver, mask: &[u64], out: &mut [f32], scratch: &mut Scratch) {
+        let Self { masks: Masks { pattern, .. }, bundles, far } = self;
+        let Scratch { cones, which, chosen, passed, .. } = scratch;
+        let (n, near) = (bundles.rays, far.near());
+        let all = u64::MAX >> (64 - n);
+        (which.clear(), chosen.clear());
+        for bundle in 0..bundles.solid_angles.len() {
+            let first = bundle * n;
+            let open = !mask[first / 64] >> (first % 64) & all;
+            if open != 0 && bundles.lengths[first] <= near {
+                (0..n).filter(|i| open >> i & 1 == 1).for_each(|i| out[first + i] = 1.0);
+            } else if open != 0 {
+                // The first one from a place that changes.
+                let turn = (receiver.seed() as usize + bundle) % n;
+                let turned = open >> turn | open << (n - turn);
+                which.push(bundle);
+                chosen.push(first + (turned.trailing_zeros() as usize + turn) % n);
+            }
+        }
+        let frame = pattern.frame_of(receiver);
+        let [x, y, z] = &bundles.directions;
+        for (axis, row) in cones.directions.iter_mut().enumerate() {
+            let (t, b, n) = (frame.tangent[axis], frame.bitangent[axis], frame.normal[axis]);
+            row.clear();
+            row.extend(chosen.iter().map(|&i| (t * x[i] + b * y[i]) + n * z[i]));
+        }
+        cones.origin = receiver.point();
+        cones.lengths.clear();
+        cones.lengths.extend(chosen.iter().map(|&i| bundles.lengths[i]));
+        cones.solid_angles.clear();
+        cones.solid_angles.extend(which.iter().map(|&i| bundles.solid_angles[i]));
+        passed.clear();
+        passed.resize(which.len(), 1.0);
+    }
+}
+
+impl Bundles {
+    /// Gives the open rays of `mask` what passes along their cones, and closes those that nothing passes.
+    fn spread(&self, mask: &mut [u64], out: &mut [f32], scratch: &Scratch) {
+        for (&bundle, &passed) in scratch.which.iter().zip(&scratch.passed) {
+            let first = bundle * self.rays;
+            let word = &mut mask[first / 64];
+            for (i, out) in out[first..first + self.rays].iter_mut().enumerate() {
+                let blocked = *word >> (first % 64 + i) & 1 == 1;
+                *out = if blocked { 0.0 } else { passed };
+            }
+            if passed == 0.0 {
+                *word |= (u64::MAX >> (64 - self.rays)) << (first % 64);
+            }
+        }
+    }
+}
