@@ -5,12 +5,16 @@
 //! the root are met before any triangle.
 //!
 //! Here: the structure and its queries. Not here: where boxes come from (`voxels.rs`, `carve.rs`), their places (`places.rs`),
-//! walking (`umbrage-accel`).
+//! when they are made (`lazy.rs`), those of instances (`instances.rs`), walking (`umbrage-accel`).
 
 mod forecast;
+mod instances;
+mod lazy;
 mod places;
 
 pub use forecast::Forecast;
+pub use instances::{SolidInstances, SolidInstancesScratch};
+pub use lazy::{LazyScratch, LazySolidBvh, Prepared};
 
 use super::{Ends, Object, SolidOptions, Solids, carve::carve, ends, voxels::Voxels};
 use std::sync::Arc;
@@ -77,7 +81,7 @@ impl Pack {
 /// Boxes inside of generators.
 #[derive(Clone, Debug, Default)]
 struct Carved {
-    interiors: Vec<Interior>,
+    interiors: Vec<Arc<Interior>>,
     solids: Vec<Aabb>,
     /// Interior that each box belongs to.
     owners: Vec<u32>,
@@ -102,16 +106,24 @@ impl Carved {
             }
             this.owners.extend(std::iter::repeat_n(this.interiors.len() as u32, carved.boxes.len()));
             this.solids.extend(carved.boxes);
-            this.interiors.push(Interior {
+            this.interiors.push(Arc::new(Interior {
                 bounds: generator.bounds,
                 voxels,
                 guards: surface.guards().to_vec(),
                 coverage: carved.coverage,
                 triangles: generator.triangles,
                 area: forecast::area(surface.triangles()),
-            });
+            }));
         }
         this
+    }
+
+    /// Adds what other objects of the mesh have.
+    fn append(&mut self, other: &Self) {
+        let first = self.interiors.len() as u32;
+        self.interiors.extend(other.interiors.iter().cloned());
+        self.solids.extend(&other.solids);
+        self.owners.extend(other.owners.iter().map(|owner| first + owner));
     }
 }
 
