@@ -50,8 +50,8 @@ proptest! {
             let built = built.clone().with_back_end(back_end).unwrap();
             let mut scratch = Scratch::default();
             for order in orders() {
-                for light in [None, Some(1)] {
-                    let query = Query::default().with_order(order).with_light(light);
+                for (light, guided) in [(None, false), (Some(1), false), (Some(2), true)] {
+                    let query = Query::default().with_order(order).with_light(light).with_guide(guided);
                     let single: Vec<bool> = rays.iter().map(|ray| built.any_hit(ray, &query, &mut scratch)).collect();
                     prop_assert_eq!(&single, &truth, "{:?} {:?}", query, back_end);
                     let mut packets = vec![false; rays.len()];
@@ -170,6 +170,39 @@ fn a_ball_is_full_of_occluders_that_end_rays() {
 }
 
 #[test]
+fn boxes_grow_over_cells_and_stay_inside() {
+    let (mesh, built) = build(&[BALL, (4, [3.0, 0.5, 0.0], [1.0; 3], 11)], &KdVolumetricOptions::default());
+    let volume =
+        |boxes: &[Aabb]| boxes.iter().map(|b| (b.max - b.min).as_dvec3().element_product()).sum::<f64>();
+    let largest = |boxes: &[Aabb]| boxes.iter().map(|b| volume(&[*b])).fold(0.0, f64::max);
+    assert!(!built.grown().is_empty() && largest(built.grown()) > 1.5 * largest(built.occluders()));
+    for aabb in built.grown() {
+        for corner in 0..8 {
+            let pick = |axis: usize| if corner >> axis & 1 == 1 { aabb.max[axis] } else { aabb.min[axis] };
+            let corner = Vec3::new(pick(0), pick(1), pick(2));
+            let nearest = corner.length().min((corner - Vec3::new(3.0, 0.5, 0.0)).length());
+            // Corners may touch the surface.
+            assert!(nearest < 1.0 + 1e-6, "{aabb:?}");
+        }
+    }
+    // Rays that follow each other end at what the light remembers; those that pass look nothing up.
+    let (mut counters, mut scratch) = (Counters::default(), Scratch::default());
+    let query = Query::default().with_order(Order::SOLID).with_light(Some(0)).with_guide(true);
+    for i in 0..200 {
+        let ray = Ray::between([0.0, 3.0, 0.0], [0.004 * i as f32 - 0.4, -3.0, 0.1]);
+        assert!(built.any_hit_with(&ray, &query, &mut scratch, &mut counters));
+        assert!(brute::any_hit(&mesh.0, &mesh.1, &ray));
+    }
+    assert!(counters.cache_hits > 190, "{counters:?}");
+    let lookups = counters.cache_lookups;
+    for i in 0..200 {
+        let ray = Ray::between([-3.0, 1.45, 0.9 + 0.0004 * i as f32], [5.0, 1.45, 0.95]);
+        assert!(!built.any_hit_with(&ray, &query, &mut scratch, &mut counters));
+    }
+    assert_eq!(counters.cache_lookups, lookups + 1);
+}
+
+#[test]
 fn segments_inside_of_a_ball_hit_nothing() {
     let (_, built) = build(&[BALL], &KdVolumetricOptions::default());
     let mut scratch = Scratch::default();
@@ -260,7 +293,7 @@ fn boxes_are_built_only_where_they_pay() {
     let built = |(positions, triangles): &Mesh, objects: &[Object], light: Vec3| {
         let bvh = Arc::new(Bvh::build(positions, triangles, &BuildOptions::default()).unwrap());
         let options = SolidBvhOptions::default();
-        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &[light], &options);
+        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &[light], 1e9, &options);
         if let Some(built) = &built {
             let forecast = built.forecast(&[light]);
             assert!(forecast.pays() && forecast.coverage > 0.3 && forecast.occurrence > 0.2, "{forecast:?}");

@@ -286,6 +286,7 @@ pub const SHADOW_METHODS: &[&str] = &[
     "kd-volumetric:bfs",
     "kd-volumetric:qdbfs",
     "kd-volumetric:solid",
+    "kd-volumetric:guided",
     "bvh-volumetric",
     PREFILTER,
 ];

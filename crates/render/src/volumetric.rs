@@ -19,8 +19,8 @@ use umbrage_occlusion::volumetric::{
 /// How rays are traced.
 #[derive(Clone, Copy)]
 enum Way {
-    /// Kd-tree in an order, with occluders or without.
-    Kd(Order, bool),
+    /// Kd-tree in an order, with occluders or without, and with a guide or without.
+    Kd(Order, bool, bool),
     /// Solid boxes in the wide hierarchy.
     Wide,
 }
@@ -29,7 +29,7 @@ enum Way {
 const WIDE: &str = "bvh-volumetric";
 
 /// Names of the methods here.
-pub(crate) const NAMES: [&str; 8] = [
+pub(crate) const NAMES: [&str; 9] = [
     "kd",
     "kd-volumetric",
     "kd-volumetric:ray",
@@ -37,17 +37,19 @@ pub(crate) const NAMES: [&str; 8] = [
     "kd-volumetric:bfs",
     "kd-volumetric:qdbfs",
     "kd-volumetric:solid",
+    "kd-volumetric:guided",
     WIDE,
 ];
 
 fn way(name: &str) -> Option<Way> {
     Some(match name {
-        "kd" => Way::Kd(Order::RAY, false),
-        "kd-volumetric:ray" => Way::Kd(Order::RAY, true),
-        "kd-volumetric:extended" => Way::Kd(Order::EXTENDED, true),
-        "kd-volumetric:bfs" => Way::Kd(Order::BREADTH, true),
-        "kd-volumetric" | "kd-volumetric:qdbfs" => Way::Kd(Order::QUICK, true),
-        "kd-volumetric:solid" => Way::Kd(Order::SOLID, true),
+        "kd" => Way::Kd(Order::RAY, false, false),
+        "kd-volumetric:ray" => Way::Kd(Order::RAY, true, false),
+        "kd-volumetric:extended" => Way::Kd(Order::EXTENDED, true, false),
+        "kd-volumetric:bfs" => Way::Kd(Order::BREADTH, true, false),
+        "kd-volumetric" | "kd-volumetric:guided" => Way::Kd(Order::SOLID, true, true),
+        "kd-volumetric:qdbfs" => Way::Kd(Order::QUICK, true, false),
+        "kd-volumetric:solid" => Way::Kd(Order::SOLID, true, false),
         WIDE => Way::Wide,
         _ => return None,
     })
@@ -90,9 +92,6 @@ pub(crate) fn method<'a>(name: &str, geometry: &'a Geometry) -> Option<Box<dyn M
     }))
 }
 
-/// Shadow rays for each triangle from which on looking for boxes is worth it: it takes about as long as tracing ten.
-const RAYS_PER_TRIANGLE: f64 = 30.0;
-
 /// `bvh-volumetric`, built, for a scene whose `rays` shadow rays to `lights` (points) are expected to gain by it.
 pub(crate) fn where_it_pays<'a>(
     geometry: &'a Geometry,
@@ -100,12 +99,10 @@ pub(crate) fn where_it_pays<'a>(
     rays: f64,
 ) -> Option<Box<dyn Method + 'a>> {
     let (bvh, mesh) = geometry.flat_opaque()?;
-    if lights.is_empty() || rays < RAYS_PER_TRIANGLE * mesh.triangles.len() as f64 {
-        return None;
-    }
     let (positions, triangles) = (&mesh.positions, &mesh.triangles);
     let options = SolidBvhOptions::default();
-    let solid = SolidBvh::build_if_it_pays(bvh, positions, triangles, &objects(mesh), lights, &options)?;
+    let solid =
+        SolidBvh::build_if_it_pays(bvh, positions, triangles, &objects(mesh), lights, rays, &options)?;
     let structure = OnceLock::from(Structure::Wide(Box::new(LazySolidBvh::ready(solid))));
     let kept = Mutex::new(Vec::new());
     Some(Box::new(Volumetric { name: WIDE, way: Way::Wide, geometry, structure, kept }))
@@ -180,12 +177,16 @@ impl Method for Volumetric<'_> {
         counters: Option<&mut Counters>,
     ) {
         match (self.structure.get_or_init(|| self.build()), self.way) {
-            (Structure::Kd(kd), Way::Kd(order, occluders)) => {
+            (Structure::Kd(kd), Way::Kd(order, occluders, guided)) => {
                 let mut scratch = match self.take() {
                     Some(Kept::Kd(scratch)) => scratch,
                     _ => Box::default(),
                 };
-                let query = Query::default().with_order(order).with_occluders(occluders).with_light(light);
+                let query = Query::default()
+                    .with_order(order)
+                    .with_occluders(occluders)
+                    .with_light(light)
+                    .with_guide(guided);
                 let mut counted = occluders::Counters::default();
                 for (to_light, out) in rays.iter().zip(passed) {
                     let hit = match counters {

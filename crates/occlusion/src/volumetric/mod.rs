@@ -25,6 +25,7 @@ mod cache;
 mod carve;
 mod classify;
 mod ends;
+mod grown;
 mod kd;
 mod solids;
 mod statistics;

@@ -30,6 +30,9 @@ const MOST_BOXES: usize = 128;
 /// Most voxels along the longest side of a generator.
 const MOST_VOXELS: f64 = 144.0;
 
+/// Shadow rays for each triangle from which on looking for boxes is worth it: it takes about as long as tracing ten.
+const RAYS_PER_TRIANGLE: f64 = 30.0;
+
 /// Options of [`SolidBvh::build`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
@@ -208,8 +211,9 @@ impl SolidBvh {
         Self::new(bvh, Carved::new(positions, triangles, &found))
     }
 
-    /// [`Self::build`] where rays to `lights` (points; far away for distant ones) are expected to gain by it
-    /// ([`Forecast::pays`]). Nothing is copied otherwise, and no box looked for if the audit of the objects says no.
+    /// [`Self::build`] where about so many `rays` to `lights` (points; far away for distant ones) are expected to gain by it
+    /// ([`Forecast::pays`]). Nothing is copied otherwise, no box looked for if the audit of the objects says no, and nothing
+    /// audited for less than 30 rays a triangle.
     ///
     /// # Panics
     /// As [`Self::build`].
@@ -219,8 +223,12 @@ impl SolidBvh {
         triangles: &[[u32; 3]],
         objects: &[Object],
         lights: &[Vec3],
+        rays: f64,
         options: &SolidBvhOptions,
     ) -> Option<Self> {
+        if lights.is_empty() || rays < RAYS_PER_TRIANGLE * triangles.len() as f64 {
+            return None;
+        }
         let found = Solids::find(positions, triangles, objects, &options.solids);
         if !Forecast::may_pay(found.generators(), triangles.len()) {
             return None;
