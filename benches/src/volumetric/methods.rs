@@ -12,7 +12,8 @@ use umbrage_occlusion::volumetric::{
 };
 
 /// Orders under their names.
-pub const ORDERS: [(&str, Order); 5] = [
+pub const ORDERS: [(&str, Order); 6] = [
+    ("ray", Order::RAY),
     ("extended", Order::EXTENDED),
     ("extended-8", Order::EXTENDED_SPARSE),
     ("bfs", Order::BREADTH),
@@ -20,12 +21,21 @@ pub const ORDERS: [(&str, Order); 5] = [
     ("solid", Order::SOLID),
 ];
 
+/// The choice between the plain hierarchy and the one with boxes.
+pub const AUTO: &str = "auto";
+
+/// Of these, with a guide.
+const GUIDED: [&str; 3] = ["ray", "extended", "solid"];
+
 /// The structures of a scene, with the times that they took, seconds.
 pub struct Structures {
     pub bvh: Arc<Bvh>,
     pub bvh_s: f64,
     pub solid: SolidBvh,
     pub solid_s: f64,
+    /// What the method `auto` has, if it has boxes, and the time that it took to decide.
+    pub auto: Option<SolidBvh>,
+    pub auto_s: f64,
     pub kd: KdVolumetric,
     /// Of the tree alone.
     pub kd_s: f64,
@@ -45,12 +55,18 @@ fn timed<T>(make: impl FnOnce() -> T) -> (T, f64) {
 }
 
 impl Structures {
-    pub fn build(scene: &Scene) -> Result<Self> {
+    /// For images of so many rays.
+    pub fn build(scene: &Scene, rays: f64) -> Result<Self> {
         let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
         let (bvh, bvh_s) = timed(|| Bvh::build(positions, triangles, &BuildOptions::default()));
         let bvh = Arc::new(bvh?);
         let (solid, solid_s) = timed(|| {
             SolidBvh::build(bvh.clone(), positions, triangles, &scene.objects, &SolidBvhOptions::default())
+        });
+        let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
+        let (auto, auto_s) = timed(|| {
+            let (objects, options) = (&scene.objects, SolidBvhOptions::default());
+            SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &lights, rays, &options)
         });
         let options = KdVolumetricOptions::default();
         let (solids, audit_s) = timed(|| Solids::find(positions, triangles, &scene.objects, &options.solids));
@@ -61,7 +77,7 @@ impl Structures {
         let (other, again) = (tree.clone(), solids.clone());
         let (_, test_rays_s) = timed(|| KdVolumetric::new(other, again, Classifier::TestRays));
         let (kd, classify_s) = timed(|| KdVolumetric::new(tree, solids, Classifier::Flood));
-        Ok(Self { bvh, bvh_s, solid, solid_s, kd, kd_s, audit_s, classify_s, test_rays_s })
+        Ok(Self { bvh, bvh_s, solid, solid_s, auto, auto_s, kd, kd_s, audit_s, classify_s, test_rays_s })
     }
 }
 
@@ -79,8 +95,18 @@ pub enum Kind<'a> {
     Bvh(&'a Bvh),
     /// With boxes remembered by light or not.
     Solid(&'a SolidBvh, bool),
-    /// Order, whether occluders are used, whether they are cached.
-    Kd(&'a KdVolumetric, Order, bool, bool),
+    /// Order, and how occluders are used.
+    Kd(&'a KdVolumetric, Order, Use),
+}
+
+/// How a kd-tree's occluders are used.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Use {
+    Not,
+    Plain,
+    Cached,
+    /// By what the light's last rays met ([`Query::with_guide`]).
+    Guided,
 }
 
 /// A way to answer all rays.
@@ -111,15 +137,23 @@ pub fn casters(s: &Structures) -> Vec<Caster<'_>> {
         let build_s = s.bvh_s + s.solid_s;
         add(name, call, Kind::Solid(&s.solid, remembered), build_s, s.solid.bytes());
     }
+    // As `umbrage render` calls it.
     for call in [Call::Single, Call::Together] {
-        add("kd", call, Kind::Kd(&s.kd, Order::RAY, false, false), s.kd_s, s.kd.tree().bytes());
+        let kind = s.auto.as_ref().map_or(Kind::Bvh(&s.bvh), |solid| Kind::Solid(solid, true));
+        add(AUTO, call, kind, s.bvh_s + s.auto_s, s.auto.as_ref().map_or(s.bvh.bytes(), SolidBvh::bytes));
+    }
+    for call in [Call::Single, Call::Together] {
+        add("kd", call, Kind::Kd(&s.kd, Order::RAY, Use::Not), s.kd_s, s.kd.tree().bytes());
     }
     for (name, order) in ORDERS {
-        for cached in [false, true] {
-            let method = format!("kd-volumetric:{name}{}", if cached { "+cache" } else { "" });
-            add(&method, Call::Single, Kind::Kd(&s.kd, order, true, cached), pre_s, s.kd.bytes());
-            if cached && ["qdbfs", "solid"].contains(&name) {
-                add(&method, Call::Together, Kind::Kd(&s.kd, order, true, cached), pre_s, s.kd.bytes());
+        for (how, suffix) in [(Use::Plain, ""), (Use::Cached, "+cache"), (Use::Guided, "+guide")] {
+            if (how == Use::Guided && !GUIDED.contains(&name)) || (how == Use::Cached && name == "ray") {
+                continue;
+            }
+            let method = format!("kd-volumetric:{name}{suffix}");
+            add(&method, Call::Single, Kind::Kd(&s.kd, order, how), pre_s, s.kd.bytes());
+            if how != Use::Plain && ["qdbfs", "solid"].contains(&name) {
+                add(&method, Call::Together, Kind::Kd(&s.kd, order, how), pre_s, s.kd.bytes());
             }
         }
     }
@@ -157,7 +191,7 @@ impl Caster<'_> {
     }
 
     fn run_kd(&self, scene: &Scene, shadows: &Shadows, hits: &mut [bool], stats: &mut impl Statistics) {
-        let Kind::Kd(kd, order, occluders, cached) = self.kind else { return };
+        let Kind::Kd(kd, order, how) = self.kind else { return };
         let mut scratch = Scratch::default();
         let ends = ends(scene, |region| kd.is_outside(region));
         for (light, range) in shadows.runs(self.call == Call::Together) {
@@ -165,8 +199,9 @@ impl Caster<'_> {
             let query = Query::default()
                 .with_order(order)
                 .with_ends(ends_of(&ends, light))
-                .with_light(light.filter(|_| cached))
-                .with_occluders(occluders);
+                .with_light(light.filter(|_| [Use::Cached, Use::Guided].contains(&how)))
+                .with_guide(how == Use::Guided)
+                .with_occluders(how != Use::Not);
             match self.call {
                 Call::Single => rays
                     .iter()
@@ -177,31 +212,62 @@ impl Caster<'_> {
         }
     }
 
-    /// Work of a pass, where it is counted.
-    pub fn counters(&self, scene: &Scene, shadows: &Shadows) -> (Counters, Value) {
-        let mut hits = vec![false; shadows.rays.len()];
+    /// Whether whole images are counted with it, where any are.
+    pub fn counts_images(&self) -> bool {
+        let kind = match self.kind {
+            Kind::Bvh(_) => self.method != AUTO,
+            Kind::Solid(_, remembered) => remembered && self.method != AUTO,
+            Kind::Kd(_, order, how) => match how {
+                Use::Not | Use::Cached => true,
+                Use::Guided => order == Order::SOLID,
+                Use::Plain => false,
+            },
+        };
+        kind && self.call == Call::Single
+    }
+
+    /// An empty tally.
+    pub fn tally(&self) -> Tally {
         match self.kind {
-            Kind::Bvh(bvh) => {
-                let mut counters = umbrage_accel::Counters::default();
+            Kind::Bvh(_) => Tally::Bvh(umbrage_accel::Counters::default()),
+            Kind::Solid(..) => Tally::Solid(SolidCounters::default()),
+            Kind::Kd(..) => Tally::Kd(Counters::default()),
+        }
+    }
+
+    /// Answers every ray and counts the work.
+    pub fn count(&self, scene: &Scene, shadows: &Shadows, tally: &mut Tally) {
+        match (self.kind, tally) {
+            (Kind::Bvh(bvh), Tally::Bvh(counters)) => {
                 for ray in &shadows.rays {
-                    bvh.any_hit_with(ray, &mut counters);
+                    bvh.any_hit_with(ray, counters);
                 }
-                let value = json!({
-                    "nodes": counters.nodes, "triangle_tests": counters.triangle_tests, "box_tests": counters.box_tests,
-                });
-                (Counters::default(), value)
             }
-            Kind::Solid(solid, remembered) => {
-                let (mut scratch, mut counters) = (solid.scratch(), SolidCounters::default());
-                let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
-                let forecast = solid.forecast(&lights);
+            (Kind::Solid(solid, remembered), Tally::Solid(counters)) => {
+                let mut scratch = solid.scratch();
                 for (light, range) in shadows.runs(false) {
                     let light = light.filter(|_| remembered);
                     for ray in &shadows.rays[range] {
-                        solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, &mut counters);
+                        solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, counters);
                     }
                 }
+            }
+            (Kind::Kd(..), Tally::Kd(counters)) => {
+                let mut hits = vec![false; shadows.rays.len()];
+                self.run_kd(scene, shadows, &mut hits, counters);
+            }
+            _ => unreachable!("tallies are made for their casters"),
+        }
+    }
+
+    /// What was counted over `rays` rays.
+    pub fn report(&self, scene: &Scene, tally: &Tally, rays: usize) -> (Counters, Value) {
+        match (self.kind, tally) {
+            (Kind::Solid(solid, _), Tally::Solid(counters)) => {
+                let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
+                let forecast = solid.forecast(&lights);
                 let value = json!({
+                    "counted_rays": rays,
                     "nodes": counters.walk.nodes,
                     "triangle_tests": counters.walk.triangle_tests,
                     "box_tests": counters.walk.box_tests,
@@ -218,28 +284,44 @@ impl Caster<'_> {
                 });
                 (Counters::default(), value)
             }
-            Kind::Kd(kd, ..) => {
-                let mut c = Counters::default();
-                self.run_kd(scene, shadows, &mut hits, &mut c);
+            (Kind::Kd(kd, ..), Tally::Kd(c)) => {
                 let lanes = if self.call == Call::Single { 1.0 } else { 4.0 };
                 let value = json!({
+                    "counted_rays": rays,
                     "nodes": c.kd.steps,
                     "triangle_tests": c.kd.triangle_tests,
                     "box_tests": c.box_tests,
                     "occluders": kd.occluders().len(),
+                    "grown": kd.grown().len(),
                     "occurrence_rate": kd.occurrence_rate(),
                     "occluder_hits": c.cell_hits,
                     "triangle_hits": c.triangle_hits,
                     "misses": c.misses,
+                    "cache_hits": c.cache_hits,
                     "cache_hit_rate": c.cache_hits as f64 / c.cache_lookups.max(1) as f64,
                     "mean_occluder_area": c.cell_area / c.cell_hits.max(1) as f64,
                     "packet_use": c.kd.active as f64 / (lanes * c.kd.steps.max(1) as f64),
                     "packet_use_at_leaves": c.kd.active_leaves as f64 / (lanes * c.kd.leaves.max(1) as f64),
                 });
-                (c, value)
+                (*c, value)
             }
+            (_, Tally::Bvh(counters)) => {
+                let value = json!({
+                    "counted_rays": rays, "nodes": counters.nodes, "triangle_tests": counters.triangle_tests,
+                    "box_tests": counters.box_tests,
+                });
+                (Counters::default(), value)
+            }
+            _ => unreachable!("tallies are made for their casters"),
         }
     }
+}
+
+/// Work of a caster over parts of an image.
+pub enum Tally {
+    Bvh(umbrage_accel::Counters),
+    Solid(SolidCounters),
+    Kd(Counters),
 }
 
 /// Lights are classified once.

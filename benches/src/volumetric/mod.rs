@@ -1,12 +1,13 @@
 //! Suite `volumetric`: opaque cells inside closed meshes, Djeu11, chapters 3 and 4, and solid boxes in wide hierarchies.
 
+mod instances;
 mod methods;
 mod pictures;
 mod scene;
 mod tables;
 
 use self::{
-    methods::{Call, Caster, Run, Structures, casters},
+    methods::{Call, Caster, Run, Structures, Tally, casters},
     scene::{Scene, Shadows},
     tables::Tables,
 };
@@ -48,8 +49,12 @@ const SINGLE: [&str; 9] = [
     "blob",
     "fertility",
 ];
-/// Of these, in the quick form.
+/// Of these, in the quick form; in the full one, work is counted over their whole images, and timed over a sixteenth.
 const QUICK: usize = 3;
+
+/// Width and height of images, and rays to each area light (Djeu11, section 3.7.2).
+const SIDE: u32 = 1024;
+const PER_LIGHT: u32 = 20;
 
 /// One image's rays under the clock.
 pub struct Case<'a> {
@@ -76,6 +81,9 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             if wanted(name) && (!options.quick || leaves == 0) {
                 measure(&scene::many(name, &folder, leaves)?, options, &mut tables, output)?;
             }
+        }
+        if wanted(instances::NAME) {
+            instances::measure(&folder, options, output)?;
         }
     }
     for lights in [1, 17] {
@@ -108,19 +116,33 @@ fn best_of<'a>(peer: &'a dyn Peer, rays: &'a [Ray]) -> Option<Best<'a>> {
 /// Rows of one scene.
 fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut Output) -> Result<()> {
     note(&format!("preparing {}", scene.name));
-    let shadows = scene.shadows(1024, 20, if options.quick { 128 } else { 16 })?;
-    let structures = Structures::build(scene)?;
+    let structures = Structures::build(scene, scene.ray_count(SIDE, PER_LIGHT))?;
+    let step = if options.quick { 128 } else { 16 };
+    let part = |part| scene.shadows(&structures.bvh, SIDE, PER_LIGHT, step, part);
+    let shadows = part(0);
     let case = Case { scene, shadows: &shadows, structures: &structures };
     let casters = casters(&structures);
-    let passes = if options.quick { 3 } else { 5 };
+    let passes = 3;
     let peers: Vec<Box<dyn Peer>> =
         options.peers.iter().map(|&name| peer::open(name, &scene.mesh)).collect::<Result<_>>()?;
     let rivals: Vec<Best> = peers.iter().filter_map(|peer| best_of(peer.as_ref(), &shadows.rays)).collect();
     let modes: Vec<(&str, String)> = rivals.iter().map(|rival| (rival.method(), rival.mode())).collect();
     let (times, answers) = case.time(&casters, rivals, passes);
     let wrong = brute_differences(scene, &shadows, &answers[0]);
+    let mut tallies: Vec<(Tally, usize)> = casters.iter().map(|caster| (caster.tally(), 0)).collect();
+    let whole = !options.quick && SINGLE[..QUICK].contains(&scene.name.as_str());
+    for index in 0..if whole { step } else { 1 } {
+        let other = (index > 0).then(|| part(index));
+        let shadows = other.as_ref().unwrap_or(&shadows);
+        for (caster, (tally, rays)) in casters.iter().zip(&mut tallies) {
+            if index == 0 || caster.counts_images() {
+                caster.count(scene, shadows, tally);
+                *rays += shadows.rays.len();
+            }
+        }
+    }
     for (i, caster) in casters.iter().enumerate() {
-        let (counted, mut counters) = caster.counters(scene, &shadows);
+        let (counted, mut counters) = caster.report(scene, &tallies[i].0, tallies[i].1);
         let differences =
             |other: usize| answers[i].iter().zip(&answers[other]).filter(|(a, b)| a != b).count();
         counters["different_bits"] = json!(differences(0) + wrong);

@@ -15,7 +15,7 @@ const SIDE: u32 = 512;
 /// these as an OBJ too.
 pub fn write(folder: &Path, case: &Case) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    let shadows = case.scene.shadows(SIDE, 4, 1)?;
+    let shadows = case.scene.shadows(&case.structures.bvh, SIDE, 4, 1, 0);
     let name = &case.scene.name;
     let save = |image: &RgbImage, what: &str| {
         let path = folder.join(format!("{name}-{what}.png"));

@@ -63,14 +63,17 @@ pub struct Shadows {
     pub side: u32,
 }
 
-/// Moves and scales so that the diagonal is `size` and the middle of the base is at `at`.
-fn place(mesh: &TriangleMesh, at: Vec3, size: f32, angle: f32) -> TriangleMesh {
+/// Scales so that the diagonal is `size`, turns, and moves the middle of the base to `at`.
+fn placing(mesh: &TriangleMesh, at: Vec3, size: f32, angle: f32) -> Affine3A {
     let bounds = mesh.bounds();
     let base = Vec3::new(bounds.center().x, bounds.min.y, bounds.center().z);
-    let map = Affine3A::from_translation(at)
+    Affine3A::from_translation(at)
         * Affine3A::from_rotation_y(angle)
         * Affine3A::from_scale(Vec3::splat(size / bounds.diagonal()))
-        * Affine3A::from_translation(-base);
+        * Affine3A::from_translation(-base)
+}
+
+fn moved(mesh: &TriangleMesh, map: &Affine3A) -> TriangleMesh {
     let positions = mesh.positions.iter().map(|&p| map.transform_point3(p.into()).into()).collect();
     TriangleMesh { positions, triangles: mesh.triangles.clone(), ..TriangleMesh::default() }
 }
@@ -142,7 +145,7 @@ pub fn single_points(name: &str, mesh: &TriangleMesh, lights: u32) -> Scene {
 
 /// One object on the ground.
 pub fn single(name: &str, mesh: &TriangleMesh) -> Scene {
-    let placed = place(mesh, Vec3::ZERO, 1.0, 0.0);
+    let placed = moved(mesh, &placing(mesh, Vec3::ZERO, 1.0, 0.0));
     // Mesh and shadow fill the image.
     let look = Vec3::new(0.0, 0.2 * placed.bounds().max.y, 0.0);
     let eye = look + Vec3::new(0.3, 0.75, 0.95).normalize() * 1.1;
@@ -151,33 +154,45 @@ pub fn single(name: &str, mesh: &TriangleMesh) -> Scene {
     Scene { name: name.into(), mesh, objects, eye, look, lights }
 }
 
-/// 36 objects on the ground, with `leaves` small squares above them.
-pub fn many(name: &str, folder: &Path, leaves: u32) -> Result<Scene> {
-    let names = [
-        "bunny_6k",
-        "spot",
-        "cow",
-        "fertility",
-        "goathead",
-        "rocker_arm",
-        "skull_10k",
-        "bunny_60k",
-        "torus_4608",
-        "armadillo_86k",
-        "fandisk",
-        "sphere_1280",
-    ];
-    let mut random = RandomStream::new(7, 0);
-    let meshes: Vec<TriangleMesh> = names
-        .iter()
-        .map(|name| Ok(umbrage_scene::read_mesh(&folder.join("closed").join(name).with_extension("obj"))?))
-        .collect::<Result<_>>()?;
-    let mut parts = Vec::new();
-    for k in 0..36 {
+/// Meshes that are placed on the ground, each three times.
+const CROWD: [&str; 12] = [
+    "bunny_6k",
+    "spot",
+    "cow",
+    "fertility",
+    "goathead",
+    "rocker_arm",
+    "skull_10k",
+    "bunny_60k",
+    "torus_4608",
+    "armadillo_86k",
+    "fandisk",
+    "sphere_1280",
+];
+
+/// The meshes, and 36 maps with the mesh that each is for.
+pub fn crowd(
+    folder: &Path,
+    random: &mut RandomStream,
+) -> Result<(Vec<TriangleMesh>, Vec<(usize, Affine3A)>)> {
+    let read =
+        |name: &&str| umbrage_scene::read_mesh(&folder.join("closed").join(name).with_extension("obj"));
+    let meshes: Vec<TriangleMesh> = CROWD.iter().map(read).collect::<Result<_, _>>()?;
+    let map = |k: usize| {
         let (x, z) = ((k % 6) as f32 - 2.5, (k / 6) as f32 - 2.5);
         let at = Vec3::new(x * 0.9 + 0.3 * random.next_unit(), 0.0, z * 0.9 + 0.3 * random.next_unit());
-        parts.push(place(&meshes[k % 12], at, 0.5 + 0.5 * random.next_unit(), TAU * random.next_unit()));
-    }
+        let mesh = k % meshes.len();
+        (mesh, placing(&meshes[mesh], at, 0.5 + 0.5 * random.next_unit(), TAU * random.next_unit()))
+    };
+    let maps = (0..36).map(map).collect();
+    Ok((meshes, maps))
+}
+
+/// 36 objects on the ground, with `leaves` small squares above them.
+pub fn many(name: &str, folder: &Path, leaves: u32) -> Result<Scene> {
+    let mut random = RandomStream::new(7, 0);
+    let (meshes, maps) = crowd(folder, &mut random)?;
+    let mut parts: Vec<TriangleMesh> = maps.iter().map(|(mesh, map)| moved(&meshes[*mesh], map)).collect();
     if leaves > 0 {
         let mut cloud = TriangleMesh::default();
         for _ in 0..leaves {
@@ -213,14 +228,13 @@ impl Shadows {
 
 impl Scene {
     /// Shadow rays of an image of `side` x `side` pixels, `per_light` to each light that the surface faces; of tiles of
-    /// 16 x 16 pixels, one in `step`.
-    pub fn shadows(&self, side: u32, per_light: u32, step: u32) -> Result<Shadows> {
-        let bvh = Bvh::build(&self.mesh.positions, &self.mesh.triangles, &BuildOptions::default())?;
+    /// 16 x 16 pixels, one in `step`. There are `step` such parts of the image, and this is number `part`.
+    pub fn shadows(&self, bvh: &Bvh, side: u32, per_light: u32, step: u32, part: u32) -> Shadows {
         let tiles = side / 16;
         let mut shadows = Shadows { rays: Vec::new(), fans: Vec::new(), side };
+        let count = tiles * tiles / step;
         // Scattered by a stride that has no factor in common with the number of tiles.
-        let chosen = (0..tiles * tiles / step)
-            .map(|i| i.wrapping_mul(if step == 1 { 1 } else { 1_597 }) % (tiles * tiles));
+        let chosen = (part * count..(part + 1) * count).map(|i| i.wrapping_mul(1_597) % (tiles * tiles));
         let mut receivers = Vec::new();
         for tile in chosen {
             receivers.clear();
@@ -249,7 +263,13 @@ impl Scene {
                 }
             }
         }
-        Ok(shadows)
+        shadows
+    }
+
+    /// Shadow rays of such an image, if all of it sees all lights: what is known before there is one.
+    pub fn ray_count(&self, side: u32, per_light: u32) -> f64 {
+        let of = |light: &Light| if light.size == 0.0 { 1.0 } else { f64::from(per_light) };
+        f64::from(side) * f64::from(side) * self.lights.iter().map(of).sum::<f64>()
     }
 
     /// The ray through the middle of a pixel.

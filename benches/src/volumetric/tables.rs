@@ -2,7 +2,7 @@
 
 use super::{
     Case,
-    methods::{Call, Caster},
+    methods::{AUTO, Call, Caster},
     scene::Shadows,
 };
 use crate::rows::{Row, median};
@@ -24,8 +24,10 @@ struct SceneFacts {
     test_rays_s: f64,
     kd_s: f64,
     solid_s: f64,
-    /// Seconds of occluded and unoccluded rays: ray order, then QDBFS with cache.
-    by_answer: [[f64; 2]; 2],
+    /// Seconds of occluded and unoccluded rays: ray order, QDBFS with cache, with a guide.
+    by_answer: [[f64; 2]; 3],
+    /// Whether `auto` has boxes, and its speed relative to the plain hierarchy: single rays, fans.
+    auto: (bool, [f64; 2]),
     occluded: f64,
 }
 
@@ -38,6 +40,7 @@ pub struct Tables {
 
 const BASE: &str = "kd";
 const BEST: &str = "kd-volumetric:qdbfs+cache";
+const GUIDED: &str = "kd-volumetric:solid+guide";
 const SPARSE: &str = "kd-volumetric:extended-8+cache";
 
 impl Tables {
@@ -48,10 +51,10 @@ impl Tables {
     /// Facts of a scene; times rays with and without an occluder apart.
     pub fn add_scene(&mut self, case: &Case, casters: &[Caster], answers: &[bool], passes: usize) {
         let s = case.structures;
-        let mut by_answer = [[0.0; 2]; 2];
+        let mut by_answer = [[0.0; 2]; 3];
         for (k, wanted) in [true, false].into_iter().enumerate() {
             let part = only(case.shadows, answers, wanted);
-            for (m, method) in [BASE, BEST].into_iter().enumerate() {
+            for (m, method) in [BASE, BEST, GUIDED].into_iter().enumerate() {
                 let find = |c: &&Caster| c.method == method && c.call == Call::Single;
                 let caster = casters.iter().find(find).map(std::slice::from_ref);
                 let case = Case { shadows: &part, ..*case };
@@ -74,6 +77,11 @@ impl Tables {
             kd_s: s.kd_s,
             solid_s: s.solid_s,
             by_answer,
+            auto: (
+                s.auto.is_some(),
+                ["single", "together"]
+                    .map(|call| self.find(&case.scene.name, AUTO, call).map_or(1.0, |(row, _)| row.speedup)),
+            ),
             occluded: answers.iter().filter(|hit| **hit).count() as f64 / answers.len().max(1) as f64,
         });
     }
@@ -102,9 +110,10 @@ impl Tables {
         self.print_points();
         let rays = |row: &Row| row.params["rays"].as_f64().unwrap_or(1.0);
         self.figure("Figure 3.5: ns a shadow ray", |row, _| row.time_s / rays(row) * 1e9);
-        self.figure("Figure 3.6: traversal steps a ray", |row, c| c.kd.steps as f64 / rays(row));
-        self.figure("Figure 3.7: triangle tests a ray", |row, c| c.kd.triangle_tests as f64 / rays(row));
-        self.figure("Figure 3.8: box tests a ray", |row, c| c.box_tests as f64 / rays(row));
+        let counted = |c: &Counters| (c.misses + c.triangle_hits + c.cell_hits).max(1) as f64;
+        self.figure("Figure 3.6: traversal steps a ray", |_, c| c.kd.steps as f64 / counted(c));
+        self.figure("Figure 3.7: triangle tests a ray", |_, c| c.kd.triangle_tests as f64 / counted(c));
+        self.figure("Figure 3.8: box tests a ray", |_, c| c.box_tests as f64 / counted(c));
         self.figure("Mean area of found occluders, 1e-3 of the unit square", |_, c| {
             c.cell_area / c.cell_hits.max(1) as f64 * 1e3
         });
@@ -117,6 +126,12 @@ impl Tables {
                     println!("  {:<18} {a:.1} / {b:.1} / {d:.1}", scene.name);
                 }
             }
+        }
+        println!("\nMethod auto against the plain hierarchy: single rays, fans");
+        for s in &self.scenes {
+            let (on, [single, fans]) = s.auto;
+            let on = if on { "with boxes" } else { "without" };
+            println!("  {:<18} {on:<10} {single:.3} {fans:.3}", s.name);
         }
         println!("\nFigures 4.37 and 4.38: occurrence rate, % of leaves");
         self.scenes.iter().for_each(|s| println!("  {:<18} {:.1}", s.name, 100.0 * s.occurrence_rate));
@@ -171,20 +186,15 @@ impl Tables {
             println!("  {:<18} {}   {}", s.name, both(&a.0), both(&b.0));
         }
         println!(
-            "\nTable 3.4 and figure 3.9: ns an occluded ray, base and QDBFS with cache; an unoccluded ray, the same; % occluded"
+            "\nTable 3.4 and figure 3.9: ns an occluded ray, base, QDBFS with cache, with a guide; an unoccluded ray, the same; % occluded"
         );
         for s in &self.scenes {
             let count = [s.occluded, 1.0 - s.occluded].map(|share| (share * s.rays as f64).max(1.0));
-            let ns = |m: usize, k: usize| s.by_answer[m][k] / count[k] * 1e9;
-            println!(
-                "  {:<18} {:.1} {:.1}   {:.1} {:.1}   {:.1}%",
-                s.name,
-                ns(0, 0),
-                ns(1, 0),
-                ns(0, 1),
-                ns(1, 1),
-                100.0 * s.occluded
-            );
+            let line = |k: usize| {
+                let ns = |times: &[f64; 2]| format!("{:.1}", times[k] / count[k] * 1e9);
+                s.by_answer.iter().map(ns).collect::<Vec<_>>().join(" ")
+            };
+            println!("  {:<18} {}   {}   {:.1}%", s.name, line(0), line(1), 100.0 * s.occluded);
         }
     }
 

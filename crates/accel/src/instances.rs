@@ -9,10 +9,11 @@ use crate::{
     bvh::MAX_PRIMS,
     kernel::{Job, Kernel, NodeRay},
     node::{LEAF, Tree},
+    solid::Solids,
     topology::Topology,
     traversal,
 };
-use queries::{AnyHit, ClosestHit, Entered, ForEachHit, Transmittance};
+use queries::{AnyHit, AnyHitAmong, ClosestHit, Entered, ForEachHit, Transmittance};
 use std::{ops::ControlFlow, sync::Arc};
 use umbrage_geom::{
     Aabb, OpticalDepth, Ray, SlabRay, TriangleHit,
@@ -279,6 +280,11 @@ impl InstancedBvh {
         self.back_end.run(AnyHit { this: self, ray, stats })
     }
 
+    /// [`Self::any_hit`] of a ray that may end inside of instances.
+    pub fn any_hit_among(&self, ray: &Ray, insides: &mut impl Insides, stats: &mut impl Statistics) -> bool {
+        self.back_end.run(AnyHitAmong { this: self, ray, insides, stats })
+    }
+
     /// [`Self::any_hit`] of each ray. With the `rayon` feature, over all threads of the caller's pool.
     ///
     /// # Panics
@@ -453,6 +459,18 @@ impl InstancedBvh {
         }
         ControlFlow::Continue(())
     }
+}
+
+/// Solid boxes of the hierarchies below, each in its own space ([`InstancedBvh::any_hit_among`]).
+pub trait Insides {
+    /// Those of one hierarchy.
+    type Solids<'s>: Solids
+    where
+        Self: 's;
+
+    /// A copy of hierarchy `bvh` with notes, and the boxes that these name; `None` if it has no boxes. `ray` is what the
+    /// instance sees ([`object_ray`]), and may not touch anything.
+    fn inside(&mut self, bvh: u32, ray: &Ray) -> Option<(&Bvh, Self::Solids<'_>)>;
 }
 
 /// What happens in an instance: a closure that can be inlined into a kernel's target features.

@@ -25,7 +25,7 @@ pub use boxes::{BoxBvh, BoxFanVisitor, BoxVisitor};
 pub use bvh::{Bvh, Hit, LeafVertices};
 pub use error::BuildError;
 pub use fan::{FanGoal, FanRay, WALKS};
-pub use instances::{InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
+pub use instances::{Insides, InstanceHit, InstancedBvh, Placement, object_from_world, object_ray};
 pub use kdtree::KdTree;
 pub use kernel::{BackEnd, FAN};
 pub use node::Note;

@@ -1,6 +1,9 @@
 //! Whatever occluders there are: every answer is that of the loop over all triangles.
 
+mod solids;
+
 use proptest::prelude::*;
+use solids::{Aim, Mesh, Part, aim, cube, mesh, part, segments, sphere};
 use std::sync::Arc;
 use umbrage_accel::{
     BackEnd, BuildOptions, Bvh, brute,
@@ -14,119 +17,6 @@ use umbrage_occlusion::volumetric::{
     Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
     SolidBvhOptions, SolidCounters, SolidOptions,
 };
-
-type Mesh = (Vec<[f32; 3]>, Vec<[u32; 3]>);
-
-/// A solid to put into a mesh: shape, center, half sizes, how it is spoilt.
-type Part = (u8, [f32; 3], [f32; 3], u8);
-
-fn part() -> impl Strategy<Value = Part> {
-    let place = || {
-        let x = || prop_oneof![(-3i8..=3).prop_map(f32::from), (-6i8..=6).prop_map(|x| f32::from(x) * 0.37)];
-        [x(), x(), x()]
-    };
-    let size = || {
-        let x = || prop_oneof![Just(1.0f32), Just(2.0), 0.3f32..3.0];
-        [x(), x(), x()]
-    };
-    (0u8..4, place(), size(), 0u8..12)
-}
-
-fn cube() -> Mesh {
-    let positions = (0..8).map(|i| [0, 1, 2].map(|axis| (i >> axis & 1) as f32 * 2.0 - 1.0)).collect();
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    (positions, quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect())
-}
-
-/// A sphere of 8 * 4^`level` triangles.
-fn sphere(level: u32) -> Mesh {
-    let mut positions = vec![Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
-    let mut triangles = Vec::new();
-    for [x, y, z] in
-        [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5u32]]
-    {
-        triangles.push([x, y, z]);
-    }
-    for _ in 0..level {
-        let mut finer = Vec::new();
-        for [a, b, c] in triangles {
-            // Middles of edges are made twice, at the same place: the audit joins them.
-            let mut middle = |i: u32, j: u32| {
-                positions.push((positions[i as usize] + positions[j as usize]).normalize());
-                positions.len() as u32 - 1
-            };
-            let (d, e, f) = (middle(a, b), middle(b, c), middle(c, a));
-            finer.extend([[a, d, f], [d, b, e], [f, e, c], [d, e, f]]);
-        }
-        triangles = finer;
-    }
-    (positions.iter().map(|p| p.to_array()).collect(), triangles)
-}
-
-fn mesh(parts: &[Part]) -> (Mesh, Vec<Object>) {
-    let (mut positions, mut triangles, mut objects) = (Vec::new(), Vec::new(), Vec::new());
-    for &(shape, center, half, spoil) in parts {
-        let (p, mut t) = match shape {
-            0 => cube(),
-            1 => sphere(0),
-            2 => sphere(1),
-            4 => sphere(4),
-            _ => sphere(2),
-        };
-        match spoil {
-            0 => drop(t.remove(t.len() / 2)),
-            1 => t[1].swap(0, 1),
-            2 => t.iter_mut().for_each(|t| t.swap(1, 2)),
-            3 => t.push(t[2]),
-            4 => drop(t.drain(..t.len() / 3)),
-            _ => {}
-        }
-        let (first, start) = (positions.len() as u32, triangles.len() as u32);
-        positions.extend(p.iter().map(|p| [0, 1, 2].map(|axis| center[axis] + p[axis] * half[axis])));
-        triangles.extend(t.iter().map(|t| t.map(|v| v + first)));
-        objects.push(Object { triangles: start..triangles.len() as u32, opaque: spoil != 5 });
-    }
-    ((positions, triangles), objects)
-}
-
-/// How an end of a segment is made: kind, numbers.
-type Aim = (u8, [f32; 3], usize, (f32, f32));
-
-fn aim() -> impl Strategy<Value = Aim> {
-    let coordinate = || prop_oneof![(-4i8..=4).prop_map(f32::from), -4f32..4.0];
-    let weights =
-        prop_oneof![Just((0f32, 0f32)), Just((0.5, 0.0)), Just((0.25, 0.25)), (0f32..0.5, 0f32..0.5)];
-    (0u8..6, [coordinate(), coordinate(), coordinate()], any::<usize>(), weights)
-}
-
-/// A point in space, far away, on the surface or inside of a part.
-fn point((positions, triangles): &Mesh, parts: &[Part], (kind, free, index, (u, v)): Aim) -> Vec3 {
-    let corners = triangles[index % triangles.len()].map(|v| Vec3::from(positions[v as usize]));
-    match kind {
-        0 | 1 => free.into(),
-        2 => Vec3::from(free) * 50.0,
-        3 | 4 => corners[0] + (corners[1] - corners[0]) * u + (corners[2] - corners[0]) * v,
-        _ => {
-            let (_, center, half, _) = parts[index % parts.len()];
-            Vec3::from(center) + Vec3::from(half) * Vec3::from(free) * 0.1
-        }
-    }
-}
-
-fn segments(mesh: &Mesh, parts: &[Part], aims: Vec<(Aim, Aim, u8)>) -> Vec<Ray> {
-    aims.into_iter()
-        .map(|(from, to, ends)| {
-            let ray = Ray::between(point(mesh, parts, from), point(mesh, parts, to));
-            match ends {
-                0 => ray.with_tfar(f32::INFINITY),
-                1 => Ray { tnear: 0.3, tfar: 0.9, ..ray },
-                2 => Ray { direction: ray.direction * Vec3::new(1.0, 0.0, 1.0), ..ray },
-                3 => Ray { direction: ray.direction * Vec3::Y, tfar: 2.0, ..ray },
-                _ => ray,
-            }
-        })
-        .collect()
-}
 
 fn orders() -> Vec<Order> {
     let mut orders =
@@ -160,8 +50,8 @@ proptest! {
             let built = built.clone().with_back_end(back_end).unwrap();
             let mut scratch = Scratch::default();
             for order in orders() {
-                for light in [None, Some(1)] {
-                    let query = Query::default().with_order(order).with_light(light);
+                for (light, guided) in [(None, false), (Some(1), false), (Some(2), true)] {
+                    let query = Query::default().with_order(order).with_light(light).with_guide(guided);
                     let single: Vec<bool> = rays.iter().map(|ray| built.any_hit(ray, &query, &mut scratch)).collect();
                     prop_assert_eq!(&single, &truth, "{:?} {:?}", query, back_end);
                     let mut packets = vec![false; rays.len()];
@@ -280,6 +170,39 @@ fn a_ball_is_full_of_occluders_that_end_rays() {
 }
 
 #[test]
+fn boxes_grow_over_cells_and_stay_inside() {
+    let (mesh, built) = build(&[BALL, (4, [3.0, 0.5, 0.0], [1.0; 3], 11)], &KdVolumetricOptions::default());
+    let volume =
+        |boxes: &[Aabb]| boxes.iter().map(|b| (b.max - b.min).as_dvec3().element_product()).sum::<f64>();
+    let largest = |boxes: &[Aabb]| boxes.iter().map(|b| volume(&[*b])).fold(0.0, f64::max);
+    assert!(!built.grown().is_empty() && largest(built.grown()) > 1.5 * largest(built.occluders()));
+    for aabb in built.grown() {
+        for corner in 0..8 {
+            let pick = |axis: usize| if corner >> axis & 1 == 1 { aabb.max[axis] } else { aabb.min[axis] };
+            let corner = Vec3::new(pick(0), pick(1), pick(2));
+            let nearest = corner.length().min((corner - Vec3::new(3.0, 0.5, 0.0)).length());
+            // Corners may touch the surface.
+            assert!(nearest < 1.0 + 1e-6, "{aabb:?}");
+        }
+    }
+    // Rays that follow each other end at what the light remembers; those that pass look nothing up.
+    let (mut counters, mut scratch) = (Counters::default(), Scratch::default());
+    let query = Query::default().with_order(Order::SOLID).with_light(Some(0)).with_guide(true);
+    for i in 0..200 {
+        let ray = Ray::between([0.0, 3.0, 0.0], [0.004 * i as f32 - 0.4, -3.0, 0.1]);
+        assert!(built.any_hit_with(&ray, &query, &mut scratch, &mut counters));
+        assert!(brute::any_hit(&mesh.0, &mesh.1, &ray));
+    }
+    assert!(counters.cache_hits > 190, "{counters:?}");
+    let lookups = counters.cache_lookups;
+    for i in 0..200 {
+        let ray = Ray::between([-3.0, 1.45, 0.9 + 0.0004 * i as f32], [5.0, 1.45, 0.95]);
+        assert!(!built.any_hit_with(&ray, &query, &mut scratch, &mut counters));
+    }
+    assert_eq!(counters.cache_lookups, lookups + 1);
+}
+
+#[test]
 fn segments_inside_of_a_ball_hit_nothing() {
     let (_, built) = build(&[BALL], &KdVolumetricOptions::default());
     let mut scratch = Scratch::default();
@@ -370,7 +293,7 @@ fn boxes_are_built_only_where_they_pay() {
     let built = |(positions, triangles): &Mesh, objects: &[Object], light: Vec3| {
         let bvh = Arc::new(Bvh::build(positions, triangles, &BuildOptions::default()).unwrap());
         let options = SolidBvhOptions::default();
-        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &[light], &options);
+        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &[light], 1e9, &options);
         if let Some(built) = &built {
             let forecast = built.forecast(&[light]);
             assert!(forecast.pays() && forecast.coverage > 0.3 && forecast.occurrence > 0.2, "{forecast:?}");

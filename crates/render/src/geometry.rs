@@ -151,6 +151,11 @@ impl Geometry {
         }
     }
 
+    /// The meshes below the structure, in the order of its hierarchies.
+    pub(crate) fn meshes(&self) -> impl Iterator<Item = &TriangleMesh> {
+        self.parts.iter().map(|part| &part.mesh)
+    }
+
     /// The hierarchy of a scene whose instances are one flat mesh.
     pub(crate) fn flat(&self) -> Option<&Bvh> {
         match &self.structure {

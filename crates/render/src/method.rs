@@ -11,7 +11,10 @@ use umbrage_aomask::{
     exact,
 };
 use umbrage_geom::{Falloff, Ray, glam::Vec3};
-use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query};
+use umbrage_occlusion::{
+    prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query},
+    volumetric::Prepared,
+};
 
 /// One sample of a light or of the sky, seen from a receiver.
 #[derive(Clone, Copy, Debug)]
@@ -36,6 +39,11 @@ pub trait Method: Sync {
         passed: &mut [f32],
         counters: Option<&mut Counters>,
     );
+
+    /// What was made of occluders so far, by methods that make them when they are needed.
+    fn prepared(&self) -> Option<Prepared> {
+        None
+    }
 
     /// Writes how open the sky is over each receiver, 1 is open: for methods that choose ambient rays themselves. The
     /// default, `false`, asks for [`Self::transmittances`] instead.
@@ -282,6 +290,7 @@ pub const SHADOW_METHODS: &[&str] = &[
     "kd-volumetric:bfs",
     "kd-volumetric:qdbfs",
     "kd-volumetric:solid",
+    "kd-volumetric:guided",
     "bvh-volumetric",
     PREFILTER,
 ];

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use std::sync::Mutex;
 use umbrage_accel::Counters;
 use umbrage_geom::{Progress, glam::Vec3};
+use umbrage_occlusion::volumetric::Prepared;
 use umbrage_scene::{Scene, Settings};
 
 /// Pixels along each side of a tile, the unit of parallel work and of shards.
@@ -61,6 +62,8 @@ pub struct Rendered {
     pub rays: RayCounts,
     /// Work done, if counted.
     pub counters: Option<Counters>,
+    /// Occluders that were made for shadow rays, by methods that have them.
+    pub occluders: Option<Prepared>,
     /// Names of the methods that were used for shadows and ambient occlusion, and why.
     pub methods: [(&'static str, &'static str); 2],
 }
@@ -163,6 +166,7 @@ pub fn render(
         film: target.film,
         rays: target.rays,
         counters: options.count_cost.then_some(target.counters),
+        occluders: shadows.method.prepared(),
         methods: [shadows, ambient].map(|choice| (choice.method.name(), choice.reason)),
     })
 }

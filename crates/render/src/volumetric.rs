@@ -1,25 +1,26 @@
 //! Shadow methods that end rays inside of solids: `kd`, `kd-volumetric`, `bvh-volumetric`.
 //!
-//! Structures are built when the first ray asks (Djeu11, section 4.8.5). Scenes with instances kept apart or with
-//! semi-transparent triangles are traced by single rays instead. Exact: pictures don't change.
+//! Structures are built when the first ray asks; `bvh-volumetric` prepares each object when the first ray comes near it
+//! (Djeu11, section 4.8.5), and shares what it has made among the object's instances. Semi-transparent scenes, and
+//! instances kept apart with a kd-tree, are traced by single rays instead. Exact: pictures don't change.
 
 use crate::{
     geometry::Geometry,
     method::{LightRay, Method},
 };
-use std::sync::{Mutex, OnceLock};
-use umbrage_accel::{Counters, kdtree::Order};
+use std::sync::{Arc, Mutex, OnceLock};
+use umbrage_accel::{Bvh, Counters, kdtree::Order};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3};
 use umbrage_occlusion::volumetric::{
-    self as occluders, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
-    SolidBvhOptions, SolidCounters, SolidScratch,
+    self as occluders, Ends, KdVolumetric, KdVolumetricOptions, LazyScratch, LazySolidBvh, Object, Prepared,
+    Query, Scratch, SolidBvh, SolidBvhOptions, SolidCounters, SolidInstances, SolidInstancesScratch,
 };
 
 /// How rays are traced.
 #[derive(Clone, Copy)]
 enum Way {
-    /// Kd-tree in an order, with occluders or without.
-    Kd(Order, bool),
+    /// Kd-tree in an order, with occluders or without, and with a guide or without.
+    Kd(Order, bool, bool),
     /// Solid boxes in the wide hierarchy.
     Wide,
 }
@@ -28,7 +29,7 @@ enum Way {
 const WIDE: &str = "bvh-volumetric";
 
 /// Names of the methods here.
-pub(crate) const NAMES: [&str; 8] = [
+pub(crate) const NAMES: [&str; 9] = [
     "kd",
     "kd-volumetric",
     "kd-volumetric:ray",
@@ -36,26 +37,29 @@ pub(crate) const NAMES: [&str; 8] = [
     "kd-volumetric:bfs",
     "kd-volumetric:qdbfs",
     "kd-volumetric:solid",
+    "kd-volumetric:guided",
     WIDE,
 ];
 
 fn way(name: &str) -> Option<Way> {
     Some(match name {
-        "kd" => Way::Kd(Order::RAY, false),
-        "kd-volumetric:ray" => Way::Kd(Order::RAY, true),
-        "kd-volumetric:extended" => Way::Kd(Order::EXTENDED, true),
-        "kd-volumetric:bfs" => Way::Kd(Order::BREADTH, true),
-        "kd-volumetric" | "kd-volumetric:qdbfs" => Way::Kd(Order::QUICK, true),
-        "kd-volumetric:solid" => Way::Kd(Order::SOLID, true),
+        "kd" => Way::Kd(Order::RAY, false, false),
+        "kd-volumetric:ray" => Way::Kd(Order::RAY, true, false),
+        "kd-volumetric:extended" => Way::Kd(Order::EXTENDED, true, false),
+        "kd-volumetric:bfs" => Way::Kd(Order::BREADTH, true, false),
+        "kd-volumetric" | "kd-volumetric:guided" => Way::Kd(Order::SOLID, true, true),
+        "kd-volumetric:qdbfs" => Way::Kd(Order::QUICK, true, false),
+        "kd-volumetric:solid" => Way::Kd(Order::SOLID, true, false),
         WIDE => Way::Wide,
         _ => return None,
     })
 }
 
 /// What the first ray builds.
-enum Structure {
+enum Structure<'a> {
     Kd(Box<KdVolumetric>),
-    Wide(Box<SolidBvh>),
+    Wide(Box<LazySolidBvh<'a>>),
+    Instances(SolidInstances<'a>),
     /// The scene's own hierarchy serves.
     Plain,
 }
@@ -63,14 +67,15 @@ enum Structure {
 /// What a thread keeps between calls.
 enum Kept {
     Kd(Box<Scratch>),
-    Wide(Box<SolidScratch>),
+    Wide(Box<LazyScratch>),
+    Instances(SolidInstancesScratch),
 }
 
 struct Volumetric<'a> {
     name: &'static str,
     way: Way,
     geometry: &'a Geometry,
-    structure: OnceLock<Structure>,
+    structure: OnceLock<Structure<'a>>,
     kept: Mutex<Vec<Kept>>,
 }
 
@@ -87,9 +92,6 @@ pub(crate) fn method<'a>(name: &str, geometry: &'a Geometry) -> Option<Box<dyn M
     }))
 }
 
-/// Shadow rays for each triangle from which on looking for boxes is worth it: it takes about as long as tracing ten.
-const RAYS_PER_TRIANGLE: f64 = 30.0;
-
 /// `bvh-volumetric`, built, for a scene whose `rays` shadow rays to `lights` (points) are expected to gain by it.
 pub(crate) fn where_it_pays<'a>(
     geometry: &'a Geometry,
@@ -97,13 +99,11 @@ pub(crate) fn where_it_pays<'a>(
     rays: f64,
 ) -> Option<Box<dyn Method + 'a>> {
     let (bvh, mesh) = geometry.flat_opaque()?;
-    if lights.is_empty() || rays < RAYS_PER_TRIANGLE * mesh.triangles.len() as f64 {
-        return None;
-    }
     let (positions, triangles) = (&mesh.positions, &mesh.triangles);
     let options = SolidBvhOptions::default();
-    let solid = SolidBvh::build_if_it_pays(bvh, positions, triangles, &objects(mesh), lights, &options)?;
-    let structure = OnceLock::from(Structure::Wide(Box::new(solid)));
+    let solid =
+        SolidBvh::build_if_it_pays(bvh, positions, triangles, &objects(mesh), lights, rays, &options)?;
+    let structure = OnceLock::from(Structure::Wide(Box::new(LazySolidBvh::ready(solid))));
     let kept = Mutex::new(Vec::new());
     Some(Box::new(Volumetric { name: WIDE, way: Way::Wide, geometry, structure, kept }))
 }
@@ -113,28 +113,33 @@ fn objects(mesh: &TriangleMesh) -> Vec<Object> {
     objects.map(|object| Object { triangles: object.triangles, opaque: true }).collect()
 }
 
-impl Volumetric<'_> {
-    fn build(&self) -> Structure {
-        let Some((bvh, mesh)) = self.geometry.flat_opaque() else { return Structure::Plain };
-        let objects = objects(mesh);
-        let (positions, triangles) = (&mesh.positions, &mesh.triangles);
-        match self.way {
-            Way::Kd(..) => {
+fn lazy<'a>(bvh: &Arc<Bvh>, mesh: &'a TriangleMesh) -> LazySolidBvh<'a> {
+    let options = SolidBvhOptions::default();
+    LazySolidBvh::new(bvh.clone(), &mesh.positions, &mesh.triangles, &objects(mesh), &options)
+}
+
+impl<'a> Volumetric<'a> {
+    fn build(&self) -> Structure<'a> {
+        let geometry = self.geometry;
+        match (self.way, geometry.flat_opaque()) {
+            (Way::Kd(..), Some((_, mesh))) => {
                 let options = KdVolumetricOptions::default();
                 // The mesh is valid, as it has a hierarchy; only its size could be too much for this tree.
-                KdVolumetric::build(positions, triangles, &objects, &options)
+                KdVolumetric::build(&mesh.positions, &mesh.triangles, &objects(mesh), &options)
                     .map_or(Structure::Plain, |kd| Structure::Kd(Box::new(kd)))
             }
-            Way::Wide => {
-                let options = SolidBvhOptions::default();
-                Structure::Wide(Box::new(SolidBvh::build(
-                    bvh.clone(),
-                    positions,
-                    triangles,
-                    &objects,
-                    &options,
-                )))
-            }
+            (Way::Wide, Some((bvh, mesh))) => Structure::Wide(Box::new(lazy(bvh, mesh))),
+            (Way::Wide, None) => match geometry.instances() {
+                Some(top) if geometry.is_opaque() => {
+                    let meshes = top.bvhs().iter().zip(geometry.meshes());
+                    Structure::Instances(SolidInstances::new(
+                        top,
+                        meshes.map(|(bvh, mesh)| lazy(bvh, mesh)).collect(),
+                    ))
+                }
+                _ => Structure::Plain,
+            },
+            _ => Structure::Plain,
         }
     }
 
@@ -156,6 +161,14 @@ impl Method for Volumetric<'_> {
         self.name
     }
 
+    fn prepared(&self) -> Option<Prepared> {
+        match self.structure.get()? {
+            Structure::Wide(solid) => Some(solid.prepared()),
+            Structure::Instances(solid) => Some(solid.prepared()),
+            _ => None,
+        }
+    }
+
     fn transmittances(
         &self,
         rays: &[LightRay],
@@ -164,12 +177,16 @@ impl Method for Volumetric<'_> {
         counters: Option<&mut Counters>,
     ) {
         match (self.structure.get_or_init(|| self.build()), self.way) {
-            (Structure::Kd(kd), Way::Kd(order, occluders)) => {
+            (Structure::Kd(kd), Way::Kd(order, occluders, guided)) => {
                 let mut scratch = match self.take() {
                     Some(Kept::Kd(scratch)) => scratch,
                     _ => Box::default(),
                 };
-                let query = Query::default().with_order(order).with_occluders(occluders).with_light(light);
+                let query = Query::default()
+                    .with_order(order)
+                    .with_occluders(occluders)
+                    .with_light(light)
+                    .with_guide(guided);
                 let mut counted = occluders::Counters::default();
                 for (to_light, out) in rays.iter().zip(passed) {
                     let hit = match counters {
@@ -208,6 +225,24 @@ impl Method for Volumetric<'_> {
                     }
                 }
                 self.give(Kept::Wide(scratch));
+            }
+            (Structure::Instances(solid), _) => {
+                let mut scratch = match self.take() {
+                    Some(Kept::Instances(scratch)) => scratch,
+                    _ => solid.scratch(),
+                };
+                let mut counted = SolidCounters::default();
+                for (to_light, out) in rays.iter().zip(passed) {
+                    let hit = match counters {
+                        Some(_) => solid.any_hit_counted(&to_light.ray, &mut scratch, &mut counted),
+                        None => solid.any_hit(&to_light.ray, &mut scratch),
+                    };
+                    *out = fraction(hit);
+                }
+                if let Some(counters) = counters {
+                    *counters += counted.walk;
+                }
+                self.give(Kept::Instances(scratch));
             }
             _ => {
                 let mut counters = counters;

@@ -88,3 +88,48 @@ fn pictures_are_those_of_the_plain_hierarchy() {
         }
     }
 }
+
+/// So many bodies that instances are kept apart, and one of another mesh far below, which no shadow ray comes near.
+fn crowd() -> Scene {
+    let mut scene = scene(1.0);
+    let size = scene.meshes[0].mesh.bounds().diagonal();
+    let mut hidden = scene.meshes[0].mesh.clone();
+    hidden.objects[0].name = "hidden".into();
+    scene.meshes.push(NamedMesh::new("hidden", hidden));
+    let first = scene.instances[0].clone();
+    let at = |mesh, x: f32, y: f32, z: f32, turn: f32| Instance {
+        mesh,
+        world_from_object: Affine3A::from_translation(glam(x, y, z) * size) * Affine3A::from_rotation_y(turn),
+        ..first.clone()
+    };
+    let place = |i: u32| ((i % 20) as f32 * 0.6, (i / 20) as f32 * 0.6);
+    scene.instances = (0..400).map(|i| at(0, -place(i).0, 0.0, -place(i).1, i as f32)).collect();
+    scene.instances.push(at(1, 0.0, -1000.0, 0.0, 0.0));
+    scene
+}
+
+#[test]
+fn instances_kept_apart_share_occluders_and_pictures_stay() {
+    let mut scene = crowd();
+    let geometry = Geometry::build(&scene).unwrap();
+    assert!(geometry.is_instanced());
+    let mut picture = |method: &str, count_cost, threads| {
+        scene.settings.shadows = method.into();
+        let options = RenderOptions::default().with_count_cost(count_cost);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let rendered = pool.install(|| render(&scene, &geometry, &options, &mut |_| true)).unwrap();
+        let layers = rendered.film.layers().iter().filter(|layer| layer.name() != "cost");
+        let bits = layers.flat_map(|layer| layer.values().iter().map(|v| v.to_bits())).collect::<Vec<u32>>();
+        (bits, rendered.occluders)
+    };
+    let (expected, none) = picture("bvh", false, 1);
+    assert_eq!(none, None);
+    for (count_cost, threads) in [(false, 1), (true, 1), (false, 3)] {
+        let (bits, occluders) = picture("bvh-volumetric", count_cost, threads);
+        assert_eq!(bits, expected);
+        let occluders = occluders.unwrap();
+        // Of each mesh the body could; planes are flat.
+        assert_eq!((occluders.objects, occluders.prepared, occluders.generators), (2, 1, 1));
+        assert!(occluders.boxes > 10, "{occluders:?}");
+    }
+}

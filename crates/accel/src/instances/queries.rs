@@ -57,6 +57,44 @@ impl<S: Statistics> Job for AnyHit<'_, S> {
     }
 }
 
+pub(super) struct AnyHitAmong<'a, I, S> {
+    pub(super) this: &'a InstancedBvh,
+    pub(super) ray: &'a Ray,
+    pub(super) insides: &'a mut I,
+    pub(super) stats: &'a mut S,
+}
+
+struct InsideVisitor<'a, I> {
+    instances: &'a [Instance],
+    insides: &'a mut I,
+}
+
+impl<I: Insides, S: Statistics> Visitor<S> for InsideVisitor<'_, I> {
+    #[inline(always)]
+    fn visit<K: Kernel>(
+        &mut self,
+        kernel: K,
+        (instance, bvh, ray): (u32, &Bvh, Ray),
+        stats: &mut S,
+    ) -> ControlFlow<()> {
+        let hit = match self.insides.inside(self.instances[instance as usize].bvh, &ray) {
+            Some((noted, mut solids)) => traversal::any_hit_among(kernel, noted, &ray, 0, &mut solids, stats),
+            None => traversal::any_hit(kernel, bvh, &ray, stats),
+        };
+        if hit { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+}
+
+impl<I: Insides, S: Statistics> Job for AnyHitAmong<'_, I, S> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> bool {
+        let Self { this, ray, insides, stats } = self;
+        this.walk(kernel, ray, stats, InsideVisitor { instances: &this.instances, insides }).is_break()
+    }
+}
+
 pub(super) struct ForEachHit<'a, F, S> {
     pub(super) this: &'a InstancedBvh,
     pub(super) ray: &'a Ray,

@@ -193,6 +193,68 @@ impl KdTree {
         inside
     }
 
+    /// Where the face of `region` that looks up `axis` (or down it) can be moved to, so that no leaf that the box then has
+    /// more of is in another state than `state`; no farther than the tree's bounds. The box's inside counts, not its rim.
+    pub fn reach(&self, region: &Aabb, axis: usize, up: bool, state: LeafState) -> f32 {
+        // Downwards with signs changed.
+        let sign = if up { 1.0 } else { -1.0 };
+        let face = if up { region.max[axis] } else { -region.min[axis] };
+        let (first, last) =
+            if up { (&self.bounds.min, &self.bounds.max) } else { (&self.bounds.max, &self.bounds.min) };
+        let mut limit = sign * last[axis];
+        // Nodes with where their cells start.
+        let mut stack = vec![(0u32, sign * first[axis])];
+        while let Some((index, start)) = stack.pop() {
+            if start >= limit {
+                continue;
+            }
+            let node = self.nodes[index as usize];
+            if node.is_leaf() {
+                if node.state() != state {
+                    limit = start.max(face);
+                }
+                continue;
+            }
+            let (left, right) = (index + 1, node.right() as u32);
+            let position = node.position();
+            if node.axis() == axis {
+                let (near, far) = if up { (left, right) } else { (right, left) };
+                stack.push((far, start.max(sign * position)));
+                if sign * position > face {
+                    stack.push((near, start));
+                }
+            } else {
+                if region.max[node.axis()] > position {
+                    stack.push((right, start));
+                }
+                if region.min[node.axis()] < position {
+                    stack.push((left, start));
+                }
+            }
+        }
+        sign * limit
+    }
+
+    /// Calls `visit` with the slot of every opaque leaf of whose cell part lies inside of `region`.
+    pub fn for_each_opaque_in(&self, region: &Aabb, mut visit: impl FnMut(u32)) {
+        let mut stack = vec![0];
+        while let Some(index) = stack.pop() {
+            let node = self.nodes[index];
+            if node.is_leaf() {
+                if node.state() == LeafState::Opaque {
+                    visit(node.slot());
+                }
+                continue;
+            }
+            if region.min[node.axis()] < node.position() {
+                stack.push(index + 1);
+            }
+            if region.max[node.axis()] > node.position() {
+                stack.push(node.right());
+            }
+        }
+    }
+
     /// Crossings of `ray` out minus in, over the triangles that `winding` gives a weight: how they turn (1 as given, -1
     /// reversed, 0 not counted). For a half line and closed surfaces this is the winding number around its start, see
     /// [`umbrage_geom::winding_number`]; exact.

@@ -208,7 +208,6 @@ impl<const N: usize> Default for KdScratch<N> {
 struct Group<'a, const N: usize> {
     rays: [&'a Ray; N],
     slabs: [Option<SlabRay>; N],
-    blocks: [Option<BlockRay>; N],
     origin: [[f32; N]; 3],
     near: [[f32; N]; 3],
     far: [[f32; N]; 3],
@@ -223,7 +222,6 @@ impl<'a, const N: usize> Group<'a, N> {
         let mut group = Self {
             rays,
             slabs: [None; N],
-            blocks: [None; N],
             origin: [[0.0; N]; 3],
             near: [[1.0; N]; 3],
             far: [[1.0; N]; 3],
@@ -233,7 +231,6 @@ impl<'a, const N: usize> Group<'a, N> {
         for lane in (0..N).rev() {
             let Some(slab) = SlabRay::new(rays[lane]) else { continue };
             group.slabs[lane] = Some(slab);
-            group.blocks[lane] = BlockRay::new(rays[lane]);
             let (mut t0, mut t1) = (slab.tnear, slab.tfar);
             for axis in 0..3 {
                 let (origin, near, far) = (slab.origin_near[axis], slab.inv_near[axis], slab.inv_far[axis]);
@@ -281,6 +278,8 @@ struct Walk<'a, const N: usize, K, S> {
     group: &'a Group<'a, N>,
     stats: &'a mut S,
     found: [Blocker; N],
+    /// Prepared for triangles when the first is tested: rays that end at cells don't need it.
+    blocks: [Option<BlockRay>; N],
     /// Lanes without a blocker so far.
     alive: u32,
     /// Lanes that opaque cells may end.
@@ -295,7 +294,10 @@ impl<const N: usize, K: Kernel, S: KdStatistics> Walk<'_, N, K, S> {
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize % N;
             lanes &= lanes - 1;
-            let Some(ray) = &self.group.blocks[lane] else { continue };
+            if self.blocks[lane].is_none() {
+                self.blocks[lane] = BlockRay::new(self.group.rays[lane]);
+            }
+            let Some(ray) = &self.blocks[lane] else { continue };
             'blocks: for index in node.blocks() {
                 let block = &self.tree.blocks[index];
                 let mask = self.kernel.filter(block, ray);
@@ -387,7 +389,7 @@ pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
     let (group, root) = Group::new(rays, tree);
     let alive = root.lanes();
     let found = [Blocker::Nothing; N];
-    let mut walk = Walk { kernel, tree, group: &group, stats, found, alive, solid: 0 };
+    let mut walk = Walk { kernel, tree, group: &group, stats, found, blocks: [None; N], alive, solid: 0 };
     for (lane, ray) in rays.into_iter().enumerate() {
         let Some(slab) = group.slabs[lane].as_ref().filter(|_| alive & 1 << lane != 0) else { continue };
         match cells.start(lane, ray, slab) {

@@ -14,11 +14,13 @@ pub struct OccluderCache {
     /// When each place was last used.
     used: [u32; PLACES],
     clock: u32,
+    /// Whether something blocked the light's last ray: the next one is likely to fare the same.
+    pub(super) blocked: bool,
 }
 
 impl Default for OccluderCache {
     fn default() -> Self {
-        Self { boxes: BoxPack::EMPTY, slots: [u32::MAX; PLACES], used: [0; PLACES], clock: 0 }
+        Self { boxes: BoxPack::EMPTY, slots: [u32::MAX; PLACES], used: [0; PLACES], clock: 0, blocked: false }
     }
 }
 

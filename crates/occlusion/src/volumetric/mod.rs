@@ -25,6 +25,7 @@ mod cache;
 mod carve;
 mod classify;
 mod ends;
+mod grown;
 mod kd;
 mod solids;
 mod statistics;
@@ -38,4 +39,7 @@ pub use ends::Ends;
 pub use kd::{KdVolumetric, KdVolumetricOptions, Query, Scratch};
 pub use solids::{Generator, Object, SolidOptions, Solids};
 pub use statistics::{Counters, Statistics};
-pub use wide::{Forecast, SolidBvh, SolidBvhOptions, SolidCounters, SolidScratch};
+pub use wide::{
+    Forecast, LazyScratch, LazySolidBvh, Prepared, SolidBvh, SolidBvhOptions, SolidCounters, SolidInstances,
+    SolidInstancesScratch, SolidScratch,
+};

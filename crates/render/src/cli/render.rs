@@ -232,6 +232,12 @@ fn write_stats(
             "box_tests": c.box_tests,
             "triangle_tests": c.triangle_tests,
         })),
+        "occluders": rendered.occluders.map(|o| json!({
+            "objects": o.objects,
+            "prepared": o.prepared,
+            "generators": o.generators,
+            "boxes": o.boxes,
+        })),
     });
     super::tools::write_json(path, &stats)
 }

@@ -5,12 +5,16 @@
 //! the root are met before any triangle.
 //!
 //! Here: the structure and its queries. Not here: where boxes come from (`voxels.rs`, `carve.rs`), their places (`places.rs`),
-//! walking (`umbrage-accel`).
+//! when they are made (`lazy.rs`), those of instances (`instances.rs`), walking (`umbrage-accel`).
 
 mod forecast;
+mod instances;
+mod lazy;
 mod places;
 
 pub use forecast::Forecast;
+pub use instances::{SolidInstances, SolidInstancesScratch};
+pub use lazy::{LazyScratch, LazySolidBvh, Prepared};
 
 use super::{Ends, Object, SolidOptions, Solids, carve::carve, ends, voxels::Voxels};
 use std::sync::Arc;
@@ -25,6 +29,9 @@ const MOST_BOXES: usize = 128;
 
 /// Most voxels along the longest side of a generator.
 const MOST_VOXELS: f64 = 144.0;
+
+/// Shadow rays for each triangle from which on looking for boxes is worth it: it takes about as long as tracing ten.
+const RAYS_PER_TRIANGLE: f64 = 30.0;
 
 /// Options of [`SolidBvh::build`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -77,7 +84,7 @@ impl Pack {
 /// Boxes inside of generators.
 #[derive(Clone, Debug, Default)]
 struct Carved {
-    interiors: Vec<Interior>,
+    interiors: Vec<Arc<Interior>>,
     solids: Vec<Aabb>,
     /// Interior that each box belongs to.
     owners: Vec<u32>,
@@ -102,16 +109,24 @@ impl Carved {
             }
             this.owners.extend(std::iter::repeat_n(this.interiors.len() as u32, carved.boxes.len()));
             this.solids.extend(carved.boxes);
-            this.interiors.push(Interior {
+            this.interiors.push(Arc::new(Interior {
                 bounds: generator.bounds,
                 voxels,
                 guards: surface.guards().to_vec(),
                 coverage: carved.coverage,
                 triangles: generator.triangles,
                 area: forecast::area(surface.triangles()),
-            });
+            }));
         }
         this
+    }
+
+    /// Adds what other objects of the mesh have.
+    fn append(&mut self, other: &Self) {
+        let first = self.interiors.len() as u32;
+        self.interiors.extend(other.interiors.iter().cloned());
+        self.solids.extend(&other.solids);
+        self.owners.extend(other.owners.iter().map(|owner| first + owner));
     }
 }
 
@@ -196,8 +211,9 @@ impl SolidBvh {
         Self::new(bvh, Carved::new(positions, triangles, &found))
     }
 
-    /// [`Self::build`] where rays to `lights` (points; far away for distant ones) are expected to gain by it
-    /// ([`Forecast::pays`]). Nothing is copied otherwise, and no box looked for if the audit of the objects says no.
+    /// [`Self::build`] where about so many `rays` to `lights` (points; far away for distant ones) are expected to gain by it
+    /// ([`Forecast::pays`]). Nothing is copied otherwise, no box looked for if the audit of the objects says no, and nothing
+    /// audited for less than 30 rays a triangle.
     ///
     /// # Panics
     /// As [`Self::build`].
@@ -207,8 +223,12 @@ impl SolidBvh {
         triangles: &[[u32; 3]],
         objects: &[Object],
         lights: &[Vec3],
+        rays: f64,
         options: &SolidBvhOptions,
     ) -> Option<Self> {
+        if lights.is_empty() || rays < RAYS_PER_TRIANGLE * triangles.len() as f64 {
+            return None;
+        }
         let found = Solids::find(positions, triangles, objects, &options.solids);
         if !Forecast::may_pay(found.generators(), triangles.len()) {
             return None;

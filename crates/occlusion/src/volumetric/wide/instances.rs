@@ -1,0 +1,95 @@
+//! Boxes inside of meshes that are placed several times: each mesh has its own once, in its own space.
+
+use super::{LazyScratch, LazySolidBvh, Prepared, Search, SolidCounters, Watch};
+use crate::volumetric::Ends;
+use umbrage_accel::{Bvh, Insides, InstancedBvh, Statistics};
+use umbrage_geom::Ray;
+
+/// Instances whose meshes have solid boxes; exact.
+///
+/// An instance is hit where [`umbrage_accel::object_ray`] hits its mesh, and that very ray, rounded as it is, is what boxes, ends
+/// and guards are held against: so a box ends it only if it hits the mesh.
+#[derive(Debug)]
+pub struct SolidInstances<'a> {
+    top: &'a InstancedBvh,
+    meshes: Vec<LazySolidBvh<'a>>,
+}
+
+/// What a thread needs to trace rays. It belongs to one [`SolidInstances`].
+#[derive(Debug)]
+pub struct SolidInstancesScratch(Vec<LazyScratch>);
+
+impl<'a> SolidInstances<'a> {
+    /// With the boxes of `meshes`, one for each of `top`'s hierarchies.
+    ///
+    /// # Panics
+    /// If there are not as many.
+    pub fn new(top: &'a InstancedBvh, meshes: Vec<LazySolidBvh<'a>>) -> Self {
+        assert_eq!(top.bvhs().len(), meshes.len(), "as many meshes as hierarchies");
+        Self { top, meshes }
+    }
+
+    /// What a thread needs to trace rays.
+    pub fn scratch(&self) -> SolidInstancesScratch {
+        SolidInstancesScratch(self.meshes.iter().map(LazySolidBvh::scratch).collect())
+    }
+
+    /// Whether the open segment meets any triangle of any instance. Prepares the objects that it reaches.
+    pub fn any_hit(&self, ray: &Ray, scratch: &mut SolidInstancesScratch) -> bool {
+        self.any_hit_watched(ray, scratch, &mut (), &mut ())
+    }
+
+    /// [`Self::any_hit`], counted.
+    pub fn any_hit_counted(
+        &self,
+        ray: &Ray,
+        scratch: &mut SolidInstancesScratch,
+        counters: &mut SolidCounters,
+    ) -> bool {
+        let mut walk = umbrage_accel::Counters::default();
+        let hit = self.any_hit_watched(ray, scratch, counters, &mut walk);
+        counters.walk += walk;
+        hit
+    }
+
+    fn any_hit_watched(
+        &self,
+        ray: &Ray,
+        scratch: &mut SolidInstancesScratch,
+        watch: &mut impl Watch,
+        stats: &mut impl Statistics,
+    ) -> bool {
+        let mut entered = Entered { meshes: &self.meshes, scratch: &mut scratch.0, watch };
+        self.top.any_hit_among(ray, &mut entered, stats)
+    }
+
+    /// How much was prepared so far, over all meshes.
+    pub fn prepared(&self) -> Prepared {
+        let mut sum = Prepared::default();
+        self.meshes.iter().for_each(|mesh| sum += mesh.prepared());
+        sum
+    }
+}
+
+/// The meshes as one ray enters them.
+struct Entered<'a, 'b, W> {
+    meshes: &'a [LazySolidBvh<'b>],
+    scratch: &'a mut [LazyScratch],
+    watch: &'a mut W,
+}
+
+impl<W: Watch> Insides for Entered<'_, '_, W> {
+    type Solids<'s>
+        = Search<'s, W>
+    where
+        Self: 's;
+
+    #[inline(always)]
+    fn inside(&mut self, bvh: u32, ray: &Ray) -> Option<(&Bvh, Search<'_, W>)> {
+        let scratch = &mut self.scratch[bvh as usize];
+        self.meshes[bvh as usize].reach(std::slice::from_ref(ray), scratch);
+        let (solid, scratch) = scratch.boxes()?;
+        // Boxes that ended rays to a light in one instance say little about the others.
+        Some((solid.bvh(), solid.search(Ends::Unknown, None, scratch, self.watch)))
+    }
+}
