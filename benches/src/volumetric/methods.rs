@@ -25,7 +25,7 @@ pub const ORDERS: [(&str, Order); 6] = [
 pub const AUTO: &str = "auto";
 
 /// Of these, with a guide.
-const GUIDED: [&str; 3] = ["ray", "extended", "solid"];
+const GUIDED: [&str; 2] = ["extended", "solid"];
 
 /// The structures of a scene, with the times that they took, seconds.
 pub struct Structures {

@@ -49,7 +49,7 @@ const SINGLE: [&str; 9] = [
     "blob",
     "fertility",
 ];
-/// Of these, in the quick form; in the full one, work is counted over their whole images, and timed over a sixteenth.
+/// Of these, in the quick form; in the full one, work is counted over their whole images, and timed over a thirty-second part.
 const QUICK: usize = 3;
 
 /// Width and height of images, and rays to each area light (Djeu11, section 3.7.2).
@@ -117,7 +117,7 @@ fn best_of<'a>(peer: &'a dyn Peer, rays: &'a [Ray]) -> Option<Best<'a>> {
 fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut Output) -> Result<()> {
     note(&format!("preparing {}", scene.name));
     let structures = Structures::build(scene, scene.ray_count(SIDE, PER_LIGHT))?;
-    let step = if options.quick { 128 } else { 16 };
+    let step = if options.quick { 128 } else { 32 };
     let part = |part| scene.shadows(&structures.bvh, SIDE, PER_LIGHT, step, part);
     let shadows = part(0);
     let case = Case { scene, shadows: &shadows, structures: &structures };

@@ -170,11 +170,14 @@ const CROWD: [&str; 12] = [
     "sphere_1280",
 ];
 
-/// The meshes, and 36 maps with the mesh that each is for.
-pub fn crowd(
-    folder: &Path,
-    random: &mut RandomStream,
-) -> Result<(Vec<TriangleMesh>, Vec<(usize, Affine3A)>)> {
+/// Meshes, and maps with the mesh that each is for.
+pub struct Crowd {
+    pub meshes: Vec<TriangleMesh>,
+    pub maps: Vec<(usize, Affine3A)>,
+}
+
+/// The meshes of `CROWD` in 36 places.
+pub fn crowd(folder: &Path, random: &mut RandomStream) -> Result<Crowd> {
     let read =
         |name: &&str| umbrage_scene::read_mesh(&folder.join("closed").join(name).with_extension("obj"));
     let meshes: Vec<TriangleMesh> = CROWD.iter().map(read).collect::<Result<_, _>>()?;
@@ -185,13 +188,13 @@ pub fn crowd(
         (mesh, placing(&meshes[mesh], at, 0.5 + 0.5 * random.next_unit(), TAU * random.next_unit()))
     };
     let maps = (0..36).map(map).collect();
-    Ok((meshes, maps))
+    Ok(Crowd { meshes, maps })
 }
 
 /// 36 objects on the ground, with `leaves` small squares above them.
 pub fn many(name: &str, folder: &Path, leaves: u32) -> Result<Scene> {
     let mut random = RandomStream::new(7, 0);
-    let (meshes, maps) = crowd(folder, &mut random)?;
+    let Crowd { meshes, maps } = crowd(folder, &mut random)?;
     let mut parts: Vec<TriangleMesh> = maps.iter().map(|(mesh, map)| moved(&meshes[*mesh], map)).collect();
     if leaves > 0 {
         let mut cloud = TriangleMesh::default();
