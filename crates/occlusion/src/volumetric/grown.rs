@@ -8,9 +8,9 @@ use umbrage_accel::{KdTree, kdtree::LeafState};
 use umbrage_geom::Aabb;
 
 /// Most boxes that are grown, and cells that are tried, the largest first.
-const MOST: usize = 512;
+const MOST: usize = 256;
 /// See [`MOST`].
-const TRIED: usize = 8192;
+const TRIED: usize = 4096;
 
 /// Least area of a cell that is tried, relative to the largest.
 const LEAST: f32 = 1e-3;
