@@ -126,7 +126,10 @@ impl OpacityField {
         if !(0.25..=16.0).contains(&options.elongation) {
             return Err(MaskError::Elongation(options.elongation));
         }
-        validate_slices(positions, triangles).map_err(BuildError::from)?;
+        // No triangles are no mesh, but a scene that blocks nothing.
+        if !triangles.is_empty() {
+            validate_slices(positions, triangles).map_err(BuildError::from)?;
+        }
         let corners = triangles.iter().flatten();
         let within = corners.fold(Aabb::EMPTY, |aabb, &v| aabb.with_point(positions[v as usize]));
         let bounds = options.bounds.unwrap_or(within);
