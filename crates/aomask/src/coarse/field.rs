@@ -126,7 +126,10 @@ impl OpacityField {
         if !(0.25..=16.0).contains(&options.elongation) {
             return Err(MaskError::Elongation(options.elongation));
         }
-        validate_slices(positions, triangles).map_err(BuildError::from)?;
+        // No triangles are no mesh, but a scene that blocks nothing.
+        if !triangles.is_empty() {
+            validate_slices(positions, triangles).map_err(BuildError::from)?;
+        }
         let corners = triangles.iter().flatten();
         let within = corners.fold(Aabb::EMPTY, |aabb, &v| aabb.with_point(positions[v as usize]));
         let bounds = options.bounds.unwrap_or(within);
@@ -409,8 +412,8 @@ impl Job for March<'_> {
         for (i, passed) in passed.chunks_mut(LANES).enumerate() {
             let (at, n) = (i * LANES, passed.len());
             let (mut direction, mut length) = ([[0.5; LANES]; 3], [0.0; LANES]);
-            for axis in 0..3 {
-                direction[axis][..n].copy_from_slice(&cones.directions[axis][at..at + n]);
+            for (to, from) in direction.iter_mut().zip(&cones.directions) {
+                to[..n].copy_from_slice(&from[at..at + n]);
             }
             length[..n].copy_from_slice(&cones.lengths[at..at + n]);
             let depth = march(far, origin, &direction, &length);
@@ -542,8 +545,8 @@ fn march(
             break;
         }
         let mut least = f32::INFINITY;
-        for lane in 0..LANES {
-            least = if sum[lane] < least { sum[lane] } else { least };
+        for &sum in &sum {
+            least = if sum < least { sum } else { least };
         }
         if least > OPAQUE as f32 {
             break;

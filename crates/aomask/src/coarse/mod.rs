@@ -165,7 +165,8 @@ impl<F: FarField> Coarse<'_, F> {
         let Scratch { cones, which, chosen, passed, .. } = scratch;
         let (n, near) = (bundles.rays, far.near());
         let all = u64::MAX >> (64 - n);
-        (which.clear(), chosen.clear());
+        which.clear();
+        chosen.clear();
         for bundle in 0..bundles.solid_angles.len() {
             let first = bundle * n;
             let open = !mask[first / 64] >> (first % 64) & all;

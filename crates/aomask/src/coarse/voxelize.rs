@@ -49,8 +49,8 @@ impl Level {
     #[inline(always)]
     pub(super) fn cell(&self, at: [u32; 3]) -> u32 {
         let mut cell = self.first;
-        for axis in 0..3 {
-            cell += Self::offset(self.strides[axis], axis, at[axis]);
+        for (axis, i) in at.into_iter().enumerate() {
+            cell += Self::offset(self.strides[axis], axis, i);
         }
         cell
     }
