@@ -68,6 +68,8 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             }
             // Against a peer, what is left of the reference's own error counts.
             let level = match scene.control.face_sizes.len() {
+                // Few faces, which large images see up close.
+                0..100 if options.size > 512 && !options.peers.is_empty() => 10,
                 0..100 => 8,
                 100..5000 if !options.peers.is_empty() => 6,
                 100..5000 => 4,
