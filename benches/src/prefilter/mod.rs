@@ -3,6 +3,7 @@
 mod case;
 mod figures;
 mod pictures;
+mod scaling;
 mod showcase;
 mod tables;
 mod targets;
@@ -99,7 +100,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
         figures::particles(if options.quick { 50_000 } else { 200_000 }, width, output)?;
     }
     if wants("fig9") && named("bush") {
-        tables::scaling(
+        scaling::run(
             if options.quick { 60_000 } else { 500_000 },
             if options.quick { 2 } else { 3 },
             width,

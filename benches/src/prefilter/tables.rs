@@ -1,17 +1,11 @@
-//! Tables 1 and 2 (build times, memory), figure 9 (time against subdivision), refit, and the forest.
+//! Tables 1 and 2 (build times, memory), refit, and the forest.
 
-use super::{
-    case::{Case, Kind, SOURCES, Source},
-    targets::round,
-};
-use crate::{
-    plot::{self, Series},
-    rows::{Output, Row, Timed, alternate, median, paired_speedup},
-};
+use super::case::{Case, Kind};
+use crate::rows::{Output, Row, Timed, alternate, median, paired_speedup};
 use anyhow::Result;
 use serde_json::json;
-use std::{path::Path, sync::Arc, time::Instant};
-use umbrage_accel::{BuildOptions, Bvh, Counters, InstancedBvh, Placement};
+use std::{sync::Arc, time::Instant};
+use umbrage_accel::{BuildOptions, Bvh, InstancedBvh, Placement};
 use umbrage_geom::{
     OpticalDepth, Ray, TriangleMesh,
     glam::{Affine3A, Quat, Vec3},
@@ -106,89 +100,6 @@ pub fn refit(case: &Case, output: &mut Output) -> Result<()> {
             baseline: "rebuild",
             speedup: paired_speedup(&times[1], &times[i]),
         })?;
-    }
-    Ok(())
-}
-
-/// Figure 9: the bush, subdivided linearly, at the same threshold; opaque and semi-opaque.
-pub fn scaling(
-    triangles: usize,
-    levels: u32,
-    width: u32,
-    plots: Option<&Path>,
-    output: &mut Output,
-) -> Result<()> {
-    let mut first: Vec<[f64; 4]> = Vec::new();
-    let mut series: Vec<Series> = Vec::new();
-    for level in 0..=levels {
-        let parameters =
-            Parameters { triangles: Some(triangles), level: Some(level), ..Parameters::default() };
-        let mesh = generate("bush", &parameters)?.mesh;
-        for (row, alpha) in [1.0f32, 0.85].into_iter().enumerate() {
-            let source = Source { alpha, ..SOURCES[0] };
-            let case = Case::new(source, mesh.clone(), width)?;
-            let (scene, build_s) = case.prefiltered(&PrefilterOptions::default())?;
-            let mut times = [0.0; 4];
-            for (k, kind) in [Kind::Ground, Kind::Whole].into_iter().enumerate() {
-                let cones = case.rays(kind, 16, 5);
-                let plain: Vec<Ray> = cones.iter().map(|c| c.ray).collect();
-                let mut answers = [vec![0.0; cones.len()], vec![0.0; cones.len()]];
-                let [exact, own] = &mut answers;
-                let mut scratch = Default::default();
-                let query = case.query();
-                let (mut of_exact, mut of_own) = (
-                    || case.exact(&plain, exact, &mut scratch),
-                    || scene.transmittances_with(&cones, &query, own, &mut ()),
-                );
-                let passes = alternate(5, &mut [&mut of_exact as &mut dyn Timed, &mut of_own]);
-                let mut counters = Counters::default();
-                let mut again = vec![0.0; cones.len()];
-                scene.transmittances_with(&cones, &query, &mut again, &mut counters);
-                for (i, method) in ["bvh", "prefilter"].into_iter().enumerate() {
-                    let (rmse, bias) = case.errors(kind, 16, &answers[i]);
-                    let time_s = median(&passes[i]);
-                    times[2 * k + i] = time_s;
-                    let opacity = if alpha < 1.0 { "semi-opaque" } else { "opaque" };
-                    let name = format!("{method}, {opacity}, {}", kind.name());
-                    let point = [case.opacity.len() as f64, time_s / cones.len() as f64 * 1e9];
-                    match series.iter_mut().find(|s| s.name == name) {
-                        Some(own) => own.points.push(point),
-                        None => series.push(Series { name, points: vec![point], filled: i == 1 }),
-                    }
-                    let base = first.get(row).map_or(time_s, |f| f[2 * k + i]);
-                    output.row(&Row {
-                        suite: "prefilter",
-                        scene: "bush".into(),
-                        method: method.into(),
-                        params: json!({
-                            "figure": "9", "level": level, "alpha": round(alpha), "receivers": kind.name(),
-                            "triangles": case.opacity.len(), "rays": 16,
-                        }),
-                        time_s,
-                        build_s: if i == 0 { case.bvh_build_s } else { build_s },
-                        mrays_s: cones.len() as f64 / time_s * 1e-6,
-                        rmse,
-                        bias,
-                        bytes: 0,
-                        counters: json!({
-                            "time_over_level_0": time_s / base,
-                            "nodes": if i == 1 { counters.nodes as f64 / cones.len() as f64 } else { 0.0 },
-                            "triangle_tests":
-                                if i == 1 { counters.triangle_tests as f64 / cones.len() as f64 } else { 0.0 },
-                        }),
-                        baseline: "bvh",
-                        speedup: paired_speedup(&passes[0], &passes[i]),
-                    })?;
-                }
-            }
-            if first.len() <= row {
-                first.push(times);
-            }
-        }
-    }
-    if let Some(folder) = plots {
-        let title = "Figure 9: the bush, subdivided, 16 rays at T = 0.2";
-        plot::save(folder, "prefilter-scaling.svg", title, ["triangles", "nanoseconds a ray"], &series)?;
     }
     Ok(())
 }

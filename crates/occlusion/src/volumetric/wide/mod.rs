@@ -306,10 +306,27 @@ impl SolidBvh {
         light: Option<usize>,
         scratch: &mut SolidScratch,
     ) {
+        assert_eq!(rays.len(), hits.len(), "one answer a ray");
         if self.packs.is_empty() {
-            self.bvh.any_hits_with(rays, hits, &mut ());
-        } else {
-            self.bvh.any_hits_among(rays, hits, &mut self.search(ends, light, scratch, &mut ()), &mut ());
+            return self.bvh.any_hits_with(rays, hits, &mut ());
+        }
+        let mut unwatched = ();
+        let mut search = self.search(ends, light, scratch, &mut unwatched);
+        let shares = |i: usize, other: usize| rays.get(other).is_some_and(|r| r.origin == rays[i].origin);
+        let alone = |i: usize| !shares(i, i + 1) && !shares(i, i.wrapping_sub(1));
+        let mut start = 0;
+        while start < rays.len() {
+            let single = alone(start);
+            let end = (start + 1..rays.len()).find(|&i| alone(i) != single).unwrap_or(rays.len());
+            if single {
+                // A fan of one ray would cost more than the ray.
+                for (ray, hit) in rays[start..end].iter().zip(&mut hits[start..end]) {
+                    *hit = self.bvh.any_hit_among(ray, &mut search, &mut ());
+                }
+            } else {
+                self.bvh.any_hits_among(&rays[start..end], &mut hits[start..end], &mut search, &mut ());
+            }
+            start = end;
         }
     }
 
