@@ -7,7 +7,7 @@ use crate::{RenderError, geometry::Geometry, volumetric};
 use umbrage_accel::{Bvh, Counters, Statistics};
 use umbrage_aomask::{
     BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, TableOptions,
-    coarse::{self, Cones, FarField},
+    coarse::{self, FarField},
     exact,
 };
 use umbrage_geom::{Falloff, Ray, glam::Vec3};
@@ -147,17 +147,28 @@ const PREFILTER: &str = "prefilter";
 /// Thresholds `T` of prefiltered shadows and ambient occlusion: `docs/prefilter.md` has the errors.
 const SHADOW_THRESHOLD: f32 = 0.2;
 /// See [`SHADOW_THRESHOLD`].
-const AO_THRESHOLD: f32 = 0.3;
+pub(crate) const AO_THRESHOLD: f32 = 0.3;
 /// Near occluders block in `mask-prefilter`, up to this share of the radius or, where there is none, of the diagonal.
 pub(crate) const NEAR: f32 = 0.1;
 
-/// [`PrefilteredRays`] beyond a distance.
-struct Far<'a> {
-    rays: PrefilteredRays<'a>,
-    near: f32,
+/// Who answers rays with solid angles.
+pub(crate) trait Cones: Sync {
+    fn answer(&self, cones: &[ConeRay], passed: &mut [f32]);
 }
 
-impl FarField for Far<'_> {
+impl Cones for PrefilteredRays<'_> {
+    fn answer(&self, cones: &[ConeRay], passed: &mut [f32]) {
+        self.answer(cones, passed, &mut ());
+    }
+}
+
+/// Prefiltered rays beyond a distance.
+pub(crate) struct Far<C> {
+    pub(crate) cones: C,
+    pub(crate) near: f32,
+}
+
+impl<C: Cones> FarField for Far<C> {
     fn near(&self) -> f32 {
         self.near
     }
@@ -166,10 +177,10 @@ impl FarField for Far<'_> {
         1
     }
 
-    fn transmittances(&self, cones: &Cones, passed: &mut [f32]) {
+    fn transmittances(&self, cones: &coarse::Cones, passed: &mut [f32]) {
         let cones: Vec<ConeRay> =
             cones.rays(self.near).map(|(ray, solid_angle)| ConeRay { ray, solid_angle }).collect();
-        self.rays.answer(&cones, passed, &mut ());
+        self.cones.answer(&cones, passed);
     }
 }
 
@@ -188,7 +199,7 @@ enum Way<'a> {
     /// From tables: approximate.
     Tables(Box<MaskTables>),
     /// Exact up to a distance, prefiltered beyond it: approximate.
-    Prefiltered(Pattern, Far<'a>),
+    Prefiltered(Pattern, Far<PrefilteredRays<'a>>),
 }
 
 impl<'a> Masks<'a> {
@@ -207,7 +218,7 @@ impl<'a> Masks<'a> {
             MASK_PREFILTER => {
                 let rays = PrefilteredRays::new(geometry, AO_THRESHOLD)?;
                 let near = NEAR * sky.radius.min(geometry.bounds().diagonal());
-                Way::Prefiltered(pattern, Far { rays, near })
+                Way::Prefiltered(pattern, Far { cones: rays, near })
             }
             _ => Way::Exact(pattern),
         };

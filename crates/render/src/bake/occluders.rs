@@ -1,8 +1,9 @@
 //! What blocks the rays of a bake.
 
 use super::{BakeError, Sides};
+use crate::method::{AO_THRESHOLD, Cones, Far};
 use umbrage_accel::{BuildOptions, Bvh};
-use umbrage_aomask::coarse::{Cones, FarField};
+use umbrage_aomask::coarse::FarField;
 use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
@@ -33,29 +34,9 @@ pub struct Occluders {
     prefiltered: Option<(Prefiltered, Query)>,
 }
 
-/// Threshold `T` of prefiltered ambient occlusion, see `docs/prefilter.md`.
-const THRESHOLD: f32 = 0.3;
-
-/// See [`Occluders::far`].
-pub(super) struct Far<'a> {
-    scene: &'a Prefiltered,
-    query: &'a Query,
-    near: f32,
-}
-
-impl FarField for Far<'_> {
-    fn near(&self) -> f32 {
-        self.near
-    }
-
-    fn bundle(&self) -> usize {
-        1
-    }
-
-    fn transmittances(&self, cones: &Cones, passed: &mut [f32]) {
-        let cones: Vec<ConeRay> =
-            cones.rays(self.near).map(|(ray, solid_angle)| ConeRay { ray, solid_angle }).collect();
-        self.scene.transmittances_with(&cones, self.query, passed, &mut ());
+impl Cones for (&Prefiltered, &Query) {
+    fn answer(&self, cones: &[ConeRay], passed: &mut [f32]) {
+        self.0.transmittances_with(cones, self.1, passed, &mut ());
     }
 }
 
@@ -122,7 +103,7 @@ impl Occluders {
         let (positions, triangles) = (&self.mesh.positions, &self.mesh.triangles);
         let options = PrefilterOptions::default();
         let scene = Prefiltered::build(positions, triangles, &opacities, &options, &mut |_| true)?;
-        self.prefiltered = Some((scene, Query::new(THRESHOLD)?));
+        self.prefiltered = Some((scene, Query::new(AO_THRESHOLD)?));
         Ok(self)
     }
 
@@ -132,8 +113,8 @@ impl Occluders {
     }
 
     /// The prefiltered occluders as what lies beyond `near`.
-    pub(super) fn far(&self, near: f32) -> Option<Far<'_>> {
-        self.prefiltered.as_ref().map(|(scene, query)| Far { scene, query, near })
+    pub(super) fn far(&self, near: f32) -> Option<impl FarField> {
+        self.prefiltered.as_ref().map(|(scene, query)| Far { cones: (scene, query), near })
     }
 
     /// Bounds of the meshes, without the ground.
