@@ -1,14 +1,14 @@
 //! Ways to answer the shadow rays of a scene.
 
 use super::scene::{Scene, Shadows};
-use crate::rows::Timed;
+use crate::rows::{Timed, median};
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, KdTree, kdtree::Order};
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, SolidBvh, SolidBvhOptions,
-    SolidCounters, Solids, Statistics,
+    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
+    SolidBvhOptions, SolidCounters, Solids, Statistics,
 };
 
 /// Orders under their names.
@@ -33,9 +33,8 @@ pub struct Structures {
     pub bvh_s: f64,
     pub solid: SolidBvh,
     pub solid_s: f64,
-    /// What the method `auto` has, if it has boxes, and the time that it took to decide.
-    pub auto: Option<SolidBvh>,
-    pub auto_s: f64,
+    /// What the method `auto` has for single rays and for fans, if it has boxes, and the times that it took to decide.
+    pub auto: [(Option<SolidBvh>, f64); 2],
     pub kd: KdVolumetric,
     /// Of the tree alone.
     pub kd_s: f64,
@@ -47,37 +46,54 @@ pub struct Structures {
     pub test_rays_s: f64,
 }
 
-/// A result and the seconds that it took.
-fn timed<T>(make: impl FnOnce() -> T) -> (T, f64) {
-    let start = Instant::now();
-    let made = make();
-    (made, start.elapsed().as_secs_f64())
+/// Less is measured several times, seconds.
+const SHORT: f64 = 0.2;
+
+/// What is made of what was prepared, and the seconds that it took: the median of five if it is quick.
+fn timed<P, T>(prepare: impl Fn() -> P, make: impl Fn(P) -> T) -> (T, f64) {
+    let once = || {
+        let prepared = prepare();
+        let start = Instant::now();
+        let made = make(prepared);
+        (made, start.elapsed().as_secs_f64())
+    };
+    let (made, first) = once();
+    if first > SHORT {
+        return (made, first);
+    }
+    let times: Vec<f64> = std::iter::once(first).chain((1..5).map(|_| once().1)).collect();
+    (made, median(&times))
 }
 
 impl Structures {
-    /// For images of so many rays.
-    pub fn build(scene: &Scene, rays: f64) -> Result<Self> {
+    /// For images of so many rays, so many of them from each point to each light.
+    pub fn build(scene: &Scene, count: f64, fans: f64) -> Result<Self> {
         let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
-        let (bvh, bvh_s) = timed(|| Bvh::build(positions, triangles, &BuildOptions::default()));
+        let (bvh, bvh_s) = timed(|| (), |()| Bvh::build(positions, triangles, &BuildOptions::default()));
         let bvh = Arc::new(bvh?);
-        let (solid, solid_s) = timed(|| {
-            SolidBvh::build(bvh.clone(), positions, triangles, &scene.objects, &SolidBvhOptions::default())
-        });
+        let (objects, options) = (&scene.objects, SolidBvhOptions::default());
+        let (solid, solid_s) =
+            timed(|| bvh.clone(), |bvh| SolidBvh::build(bvh, positions, triangles, objects, &options));
         let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
-        let (auto, auto_s) = timed(|| {
-            let (objects, options) = (&scene.objects, SolidBvhOptions::default());
-            SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &lights, rays, &options)
+        let auto = [1.0, fans].map(|together| {
+            let rays = ShadowRays { lights: &lights, count, together };
+            timed(
+                || (),
+                |()| SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &rays, &options),
+            )
         });
         let options = KdVolumetricOptions::default();
-        let (solids, audit_s) = timed(|| Solids::find(positions, triangles, &scene.objects, &options.solids));
-        let (tree, kd_s) = timed(|| {
-            KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, &mut |_| true)
-        });
-        let tree = tree?;
-        let (other, again) = (tree.clone(), solids.clone());
-        let (_, test_rays_s) = timed(|| KdVolumetric::new(other, again, Classifier::TestRays));
-        let (kd, classify_s) = timed(|| KdVolumetric::new(tree, solids, Classifier::Flood));
-        Ok(Self { bvh, bvh_s, solid, solid_s, auto, auto_s, kd, kd_s, audit_s, classify_s, test_rays_s })
+        let (solids, audit_s) =
+            timed(|| (), |()| Solids::find(positions, triangles, objects, &options.solids));
+        let (tree, kd_s) = timed(
+            || (),
+            |()| KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, &mut |_| true),
+        );
+        let parts = (tree?, solids);
+        let classified = |by| timed(|| parts.clone(), |(tree, solids)| KdVolumetric::new(tree, solids, by));
+        let (_, test_rays_s) = classified(Classifier::TestRays);
+        let (kd, classify_s) = classified(Classifier::Flood);
+        Ok(Self { bvh, bvh_s, solid, solid_s, auto, kd, kd_s, audit_s, classify_s, test_rays_s })
     }
 }
 
@@ -138,9 +154,9 @@ pub fn casters(s: &Structures) -> Vec<Caster<'_>> {
         add(name, call, Kind::Solid(&s.solid, remembered), build_s, s.solid.bytes());
     }
     // As `umbrage render` calls it.
-    for call in [Call::Single, Call::Together] {
-        let kind = s.auto.as_ref().map_or(Kind::Bvh(&s.bvh), |solid| Kind::Solid(solid, true));
-        add(AUTO, call, kind, s.bvh_s + s.auto_s, s.auto.as_ref().map_or(s.bvh.bytes(), SolidBvh::bytes));
+    for (call, (auto, auto_s)) in [Call::Single, Call::Together].into_iter().zip(&s.auto) {
+        let kind = auto.as_ref().map_or(Kind::Bvh(&s.bvh), |solid| Kind::Solid(solid, true));
+        add(AUTO, call, kind, s.bvh_s + auto_s, auto.as_ref().map_or(s.bvh.bytes(), SolidBvh::bytes));
     }
     for call in [Call::Single, Call::Together] {
         add("kd", call, Kind::Kd(&s.kd, Order::RAY, Use::Not), s.kd_s, s.kd.tree().bytes());

@@ -116,13 +116,16 @@ fn best_of<'a>(peer: &'a dyn Peer, rays: &'a [Ray]) -> Option<Best<'a>> {
 /// Rows of one scene.
 fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut Output) -> Result<()> {
     note(&format!("preparing {}", scene.name));
-    let structures = Structures::build(scene, scene.ray_count(SIDE, PER_LIGHT))?;
+    let count = scene.ray_count(SIDE, PER_LIGHT);
+    let fans = count / (f64::from(SIDE) * f64::from(SIDE) * scene.lights.len().max(1) as f64);
+    let structures = Structures::build(scene, count, fans)?;
     let step = if options.quick { 128 } else { 32 };
     let part = |part| scene.shadows(&structures.bvh, SIDE, PER_LIGHT, step, part);
     let shadows = part(0);
     let case = Case { scene, shadows: &shadows, structures: &structures };
     let casters = casters(&structures);
-    let passes = 3;
+    // Short ones need more passes for a median that means something.
+    let passes = (8_000_000 / shadows.rays.len().max(1)).clamp(3, 25);
     let peers: Vec<Box<dyn Peer>> =
         options.peers.iter().map(|&name| peer::open(name, &scene.mesh)).collect::<Result<_>>()?;
     let rivals: Vec<Best> = peers.iter().filter_map(|peer| best_of(peer.as_ref(), &shadows.rays)).collect();

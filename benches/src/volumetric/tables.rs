@@ -26,8 +26,8 @@ struct SceneFacts {
     solid_s: f64,
     /// Seconds of occluded and unoccluded rays: ray order, QDBFS with cache, with a guide.
     by_answer: [[f64; 2]; 3],
-    /// Whether `auto` has boxes, and its speed relative to the plain hierarchy: single rays, fans.
-    auto: (bool, [f64; 2]),
+    /// For single rays and fans: whether `auto` has boxes, and its speed relative to the plain hierarchy.
+    auto: [(bool, f64); 2],
     occluded: f64,
 }
 
@@ -77,11 +77,10 @@ impl Tables {
             kd_s: s.kd_s,
             solid_s: s.solid_s,
             by_answer,
-            auto: (
-                s.auto.is_some(),
-                ["single", "together"]
-                    .map(|call| self.find(&case.scene.name, AUTO, call).map_or(1.0, |(row, _)| row.speedup)),
-            ),
+            auto: [0, 1].map(|i| {
+                let row = self.find(&case.scene.name, AUTO, ["single", "together"][i]);
+                (s.auto[i].0.is_some(), row.map_or(1.0, |(row, _)| row.speedup))
+            }),
             occluded: answers.iter().filter(|hit| **hit).count() as f64 / answers.len().max(1) as f64,
         });
     }
@@ -129,9 +128,10 @@ impl Tables {
         }
         println!("\nMethod auto against the plain hierarchy: single rays, fans");
         for s in &self.scenes {
-            let (on, [single, fans]) = s.auto;
-            let on = if on { "with boxes" } else { "without" };
-            println!("  {:<18} {on:<10} {single:.3} {fans:.3}", s.name);
+            let [single, fans] = s
+                .auto
+                .map(|(on, speed)| format!("{speed:.3} {:<10}", if on { "with boxes" } else { "without" }));
+            println!("  {:<18} {single} {fans}", s.name);
         }
         println!("\nFigures 4.37 and 4.38: occurrence rate, % of leaves");
         self.scenes.iter().for_each(|s| println!("  {:<18} {:.1}", s.name, 100.0 * s.occurrence_rate));

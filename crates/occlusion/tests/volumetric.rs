@@ -14,8 +14,8 @@ use umbrage_geom::{
     glam::{DVec3, Vec3},
 };
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, SolidBvh,
-    SolidBvhOptions, SolidCounters, SolidOptions,
+    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, ShadowRays,
+    SolidBvh, SolidBvhOptions, SolidCounters, SolidOptions,
 };
 
 fn orders() -> Vec<Order> {
@@ -290,10 +290,12 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
 
 #[test]
 fn boxes_are_built_only_where_they_pay() {
-    let built = |(positions, triangles): &Mesh, objects: &[Object], light: Vec3| {
+    let light = Vec3::new(3.0, 4.0, 1.0);
+    let built = |(positions, triangles): &Mesh, objects: &[Object], together: f64| {
         let bvh = Arc::new(Bvh::build(positions, triangles, &BuildOptions::default()).unwrap());
         let options = SolidBvhOptions::default();
-        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &[light], 1e9, &options);
+        let rays = ShadowRays { lights: &[light], count: 1e9, together };
+        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &rays, &options);
         if let Some(built) = &built {
             let forecast = built.forecast(&[light]);
             assert!(forecast.pays() && forecast.coverage > 0.3 && forecast.occurrence > 0.2, "{forecast:?}");
@@ -301,16 +303,18 @@ fn boxes_are_built_only_where_they_pay() {
         // Nothing else holds the hierarchy then: no boxes were put into it.
         (built.is_some(), Arc::strong_count(&bvh))
     };
-    let light = Vec3::new(3.0, 4.0, 1.0);
     let (positions, triangles) = sphere(5);
     let ball = |count: u32| Object { triangles: 0..count, opaque: true };
     let all = triangles.len() as u32;
-    assert_eq!(built(&(positions.clone(), triangles.clone()), &[], light), (true, 1));
+    assert_eq!(built(&(positions.clone(), triangles.clone()), &[], 16.0), (true, 1));
+    // It is too small for rays that come one by one.
+    assert_eq!(built(&(positions.clone(), triangles.clone()), &[], 1.0), (false, 1));
+    assert_eq!(built(&sphere(6), &[], 1.0), (true, 1));
     // Large triangles block as well as boxes.
-    assert_eq!(built(&sphere(2), &[], light), (false, 1));
+    assert_eq!(built(&sphere(2), &[], 16.0), (false, 1));
     // A sheet has no inside worth the name.
     let sheet = positions.iter().map(|p| [p[0], p[1] * 1e-3, p[2]]).collect();
-    assert_eq!(built(&(sheet, triangles.clone()), &[], light), (false, 1));
+    assert_eq!(built(&(sheet, triangles.clone()), &[], 16.0), (false, 1));
     // Most of the scene is leaves.
     let (mut leaves, mut more) = (positions, triangles);
     for i in 0..9_000u32 {
@@ -320,7 +324,7 @@ fn boxes_are_built_only_where_they_pay() {
         more.push([first, first + 1, first + 2]);
     }
     let open = Object { triangles: all..more.len() as u32, opaque: true };
-    assert_eq!(built(&(leaves, more), &[ball(all), open], light), (false, 1));
+    assert_eq!(built(&(leaves, more), &[ball(all), open], 16.0), (false, 1));
 }
 
 #[test]

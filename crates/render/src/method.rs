@@ -10,10 +10,11 @@ use umbrage_aomask::{
     coarse::{self, FarField},
     exact,
 };
-use umbrage_geom::{Falloff, Ray, glam::Vec3};
+use umbrage_geom::{Falloff, Ray};
 use umbrage_occlusion::{
     prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query},
     volumetric::Prepared,
+    volumetric::ShadowRays,
 };
 
 /// One sample of a light or of the sky, seen from a receiver.
@@ -331,18 +332,17 @@ pub struct Choice<'a> {
     pub reason: &'static str,
 }
 
-/// The shadow method called `name`, for about so many `rays` to `lights` (points; far away for distant ones).
+/// The shadow method called `name`, for the `rays` that are expected.
 ///
 /// # Errors
 /// [`RenderError::Method`] if there is none; [`RenderError::Prefilter`].
 pub fn shadow_method<'a>(
     name: &str,
     geometry: &'a Geometry,
-    lights: &[Vec3],
-    rays: f64,
+    rays: &ShadowRays,
 ) -> Result<Choice<'a>, RenderError> {
     if name == "auto"
-        && let Some(method) = volumetric::where_it_pays(geometry, lights, rays)
+        && let Some(method) = volumetric::where_it_pays(geometry, rays)
     {
         return Ok(Choice {
             method,

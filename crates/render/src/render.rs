@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use std::sync::Mutex;
 use umbrage_accel::Counters;
 use umbrage_geom::{Progress, glam::Vec3};
-use umbrage_occlusion::volumetric::Prepared;
+use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 use umbrage_scene::{Scene, Settings};
 
 /// Pixels along each side of a tile, the unit of parallel work and of shards.
@@ -114,7 +114,9 @@ pub fn render(
     let places: Vec<Vec3> = lights.iter().filter_map(|light| light.place(&bounds)).collect();
     let samples: f64 = lights.iter().map(|light| f64::from(light.samples(settings.shadow_samples))).sum();
     let points = f64::from(settings.width) * f64::from(settings.height) * f64::from(settings.spp);
-    let shadows = shadow_method(&settings.shadows, geometry, &places, points * samples)?;
+    let together = samples / lights.len().max(1) as f64;
+    let rays = ShadowRays { lights: &places, count: points * samples, together };
+    let shadows = shadow_method(&settings.shadows, geometry, &rays)?;
     let sky = scene.ambient.as_ref().map(|ambient| SkyRays {
         samples: settings.ao_samples,
         radius: ambient.radius.resolve(geometry.bounds().diagonal()),

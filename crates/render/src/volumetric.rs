@@ -10,10 +10,11 @@ use crate::{
 };
 use std::sync::{Arc, Mutex, OnceLock};
 use umbrage_accel::{Bvh, Counters, kdtree::Order};
-use umbrage_geom::{Ray, TriangleMesh, glam::Vec3};
+use umbrage_geom::{Ray, TriangleMesh};
 use umbrage_occlusion::volumetric::{
     self as occluders, Ends, KdVolumetric, KdVolumetricOptions, LazyScratch, LazySolidBvh, Object, Prepared,
-    Query, Scratch, SolidBvh, SolidBvhOptions, SolidCounters, SolidInstances, SolidInstancesScratch,
+    Query, Scratch, ShadowRays, SolidBvh, SolidBvhOptions, SolidCounters, SolidInstances,
+    SolidInstancesScratch,
 };
 
 /// How rays are traced.
@@ -92,17 +93,12 @@ pub(crate) fn method<'a>(name: &str, geometry: &'a Geometry) -> Option<Box<dyn M
     }))
 }
 
-/// `bvh-volumetric`, built, for a scene whose `rays` shadow rays to `lights` (points) are expected to gain by it.
-pub(crate) fn where_it_pays<'a>(
-    geometry: &'a Geometry,
-    lights: &[Vec3],
-    rays: f64,
-) -> Option<Box<dyn Method + 'a>> {
+/// `bvh-volumetric`, built, for a scene whose shadow `rays` are expected to gain by it.
+pub(crate) fn where_it_pays<'a>(geometry: &'a Geometry, rays: &ShadowRays) -> Option<Box<dyn Method + 'a>> {
     let (bvh, mesh) = geometry.flat_opaque()?;
     let (positions, triangles) = (&mesh.positions, &mesh.triangles);
     let options = SolidBvhOptions::default();
-    let solid =
-        SolidBvh::build_if_it_pays(bvh, positions, triangles, &objects(mesh), lights, rays, &options)?;
+    let solid = SolidBvh::build_if_it_pays(bvh, positions, triangles, &objects(mesh), rays, &options)?;
     let structure = OnceLock::from(Structure::Wide(Box::new(LazySolidBvh::ready(solid))));
     let kept = Mutex::new(Vec::new());
     Some(Box::new(Volumetric { name: WIDE, way: Way::Wide, geometry, structure, kept }))

@@ -7,10 +7,14 @@
 use umbrage_accel::{KdTree, kdtree::LeafState};
 use umbrage_geom::Aabb;
 
-/// Most boxes that are grown, and cells that are tried, the largest first.
+/// Most boxes that are grown.
 const MOST: usize = 256;
-/// See [`MOST`].
-const TRIED: usize = 4096;
+
+/// Opaque cells for each box that is grown: growing one takes as long as classifying some hundred cells.
+const CELLS: usize = 32;
+
+/// Cells that are tried for each box, the largest first.
+const TRIED: usize = 16;
 
 /// Least area of a cell that is tried, relative to the largest.
 const LEAST: f32 = 1e-3;
@@ -24,15 +28,17 @@ pub(super) fn grow(tree: &KdTree, mut cells: Vec<Aabb>) -> (Vec<Aabb>, Vec<u32>)
     let count = cells.len();
     let mut remembered: Vec<u32> = (0..count as u32).collect();
     let mut order = remembered.clone();
+    let most = (count / CELLS).min(MOST);
+    let tried = TRIED * most;
     let by_area = |a: &u32, b: &u32| cells[*b as usize].area().total_cmp(&cells[*a as usize].area());
-    if count > TRIED {
-        order.select_nth_unstable_by(TRIED, by_area);
-        order.truncate(TRIED);
+    if count > tried {
+        order.select_nth_unstable_by(tried, by_area);
+        order.truncate(tried);
     }
     order.sort_unstable_by(by_area);
     let least = order.first().map_or(0.0, |&slot| LEAST * cells[slot as usize].area());
     for slot in order {
-        if cells.len() - count == MOST || cells[slot as usize].area() < least {
+        if cells.len() - count == most || cells[slot as usize].area() < least {
             break;
         }
         if remembered[slot as usize] != slot {

@@ -40,6 +40,6 @@ pub use kd::{KdVolumetric, KdVolumetricOptions, Query, Scratch};
 pub use solids::{Generator, Object, SolidOptions, Solids};
 pub use statistics::{Counters, Statistics};
 pub use wide::{
-    Forecast, LazyScratch, LazySolidBvh, Prepared, SolidBvh, SolidBvhOptions, SolidCounters, SolidInstances,
-    SolidInstancesScratch, SolidScratch,
+    Forecast, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidCounters,
+    SolidInstances, SolidInstancesScratch, SolidScratch,
 };

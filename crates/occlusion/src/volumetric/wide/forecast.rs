@@ -17,11 +17,25 @@ const LEAST_TRIANGLES: f32 = 0.65;
 /// Fewest triangles of generators: less is traced as fast without.
 const SMALLEST: usize = 4_000;
 
+/// The same where few rays share an origin: each asks the boxes by itself, which a few fewer nodes don't make up for.
+const SMALLEST_ALONE: usize = 16_000;
+
 /// Least share of the lines from lights through generators that boxes must stop: the shadow shape test.
 const LEAST_COVERAGE: f32 = 0.1;
 
 /// Least area of boxes, in those of triangles: the internal volume against tessellation test.
 const LEAST_RATIO: f32 = 100.0;
+
+/// Shadow rays that are expected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShadowRays<'a> {
+    /// Where they go: points, far away for distant lights.
+    pub lights: &'a [Vec3],
+    /// About how many.
+    pub count: f64,
+    /// About how many with the same origin are traced by one call ([`super::SolidBvh::any_hits`]); 1 for single rays.
+    pub together: f64,
+}
 
 /// What is known of a scene with its generators.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -39,13 +53,14 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Whether [`Self::pays`] could be true, by the generators of a scene of so many triangles alone.
-    pub(super) fn may_pay(generators: &[Generator], triangles: usize) -> bool {
+    /// Whether boxes could pay, by the generators of a scene of so many triangles alone.
+    pub(super) fn may_pay(generators: &[Generator], triangles: usize, rays: &ShadowRays) -> bool {
         let own: usize = generators.iter().map(|generator| generator.triangles as usize).sum();
-        own as f32 >= LEAST_TRIANGLES * triangles as f32 && own >= SMALLEST
+        let smallest = if rays.together < 2.0 { SMALLEST_ALONE } else { SMALLEST };
+        own as f32 >= LEAST_TRIANGLES * triangles as f32 && own >= smallest
     }
 
-    /// Whether boxes are expected to save more than they cost.
+    /// Whether boxes are expected to save more than they cost, in scenes that aren't small.
     pub fn pays(&self) -> bool {
         self.triangles >= LEAST_TRIANGLES && self.coverage >= LEAST_COVERAGE && self.area_ratio >= LEAST_RATIO
     }
