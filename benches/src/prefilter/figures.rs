@@ -217,24 +217,33 @@ pub fn bias(case: &Case, output: &mut Output) -> Result<()> {
     let height = |k| default.with_correlation(Correlation::Height(k));
     let query = case.query();
     let whole = query.with_ends(SegmentEnds::Whole);
+    // Variants of the query share what was built.
     let variants = [
-        ("default", default, query),
-        ("centre directions", default.with_sampling(CellSampling::Center), query),
-        ("whole crossings", default, whole),
-        ("any angle", default, query.with_widest(1e3)),
-        ("N_C = 4", default.with_directions(4), query),
-        ("N_C = 6", default.with_directions(6), query),
-        ("no blending", default, query.with_blend(Blend::None)),
-        ("K = 0", height(0.0), query),
-        ("K = 5", height(5.0), query),
-        ("no directions", default.with_storage(Storage::Average), query),
-        ("as published, K = 5", height(5.0).with_sampling(CellSampling::Center), whole.with_widest(1e3)),
+        (
+            default,
+            vec![
+                ("default", query),
+                ("whole crossings", whole),
+                ("any angle", query.with_widest(1e3)),
+                ("no blending", query.with_blend(Blend::None)),
+            ],
+        ),
+        (default.with_sampling(CellSampling::Center), vec![("centre directions", query)]),
+        (default.with_directions(4), vec![("N_C = 4", query)]),
+        (default.with_directions(6), vec![("N_C = 6", query)]),
+        (height(0.0), vec![("K = 0", query)]),
+        (height(5.0), vec![("K = 5", query)]),
+        (default.with_storage(Storage::Average), vec![("no directions", query)]),
+        (
+            height(5.0).with_sampling(CellSampling::Center),
+            vec![("as published, K = 5", whole.with_widest(1e3))],
+        ),
     ];
-    for rays in [4, 16] {
-        let cones = case.rays(Kind::Whole, rays, 5);
-        for (name, options, query) in &variants {
-            let (scene, _) = case.prefiltered(options)?;
-            let (rmse, bias) = case.errors(Kind::Whole, rays, &answers(&scene, &cones, query));
+    let cones = [4, 16].map(|rays| (rays, case.rays(Kind::Whole, rays, 5)));
+    for (options, queries) in &variants {
+        let (scene, _) = case.prefiltered(options)?;
+        for ((name, query), (rays, cones)) in queries.iter().flat_map(|q| cones.iter().map(move |c| (q, c))) {
+            let (rmse, bias) = case.errors(Kind::Whole, *rays, &answers(&scene, cones, query));
             let relative = bias / case.mean_visibility();
             let params = json!({ "variant": name, "rays": rays });
             let counters = json!({ "relative_bias": relative, "mean_visibility": case.mean_visibility() });
