@@ -37,6 +37,9 @@ pub struct Options {
     pub pictures: Option<PathBuf>,
 }
 
+/// Pixels along a side of images that many ways are compared on.
+const SMALL: u32 = 256;
+
 impl Options {
     fn wants(&self, figure: &str) -> bool {
         self.figure.as_ref().is_none_or(|wanted| figure.contains(wanted.as_str()))
@@ -44,7 +47,12 @@ impl Options {
 
     /// Pixels along a side: rays without width at their start cost many times as much.
     fn size_for(&self, shadows: Shadows) -> u32 {
-        if self.quick && shadows != Shadows::FromPixel { self.size / 2 } else { self.size }
+        if shadows == Shadows::FromPixel { self.size } else { self.size.min(2 * SMALL) / 2 }
+    }
+
+    /// Passes of frames: large ones take minutes each.
+    fn passes(&self) -> usize {
+        if self.quick || self.size > 2 * SMALL { 1 } else { 3 }
     }
 }
 

@@ -2,7 +2,7 @@
 //! with and without cracks.
 
 use super::{
-    Options, cracks,
+    Options, SMALL, cracks,
     figures::{ROOM, row},
     frame::{Frame, Method, Reference, Setting, Shadows, render},
     scenes::Scene,
@@ -46,6 +46,7 @@ fn methods() -> Vec<Method> {
 /// Rows of all methods for one scene: a normal view with 5 lights, a close view, and random views for cracks.
 pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
     let (passes, views) = if options.quick { (1, 2) } else { (3, 5) };
+    let options = &Options { size: options.size.min(SMALL), ..options.clone() };
     let lights = scene.lights();
     let methods = methods();
     for (name, close, shadows, lit) in [
@@ -114,7 +115,8 @@ pub fn cracks(scene: &Scene, options: &Options, reference: &Reference, output: &
     if !options.wants(NAME) {
         return Ok(());
     }
-    let views = if options.quick { 1 } else { 5 };
+    // A view of 1024 x 1024 pixels of each scene makes four million rays.
+    let views = if options.quick || options.size >= 1024 { 1 } else { 5 };
     for method in methods().iter().filter(|m| ["entry", "default-open", "default", "once"].contains(&m.name))
     {
         let start = Instant::now();

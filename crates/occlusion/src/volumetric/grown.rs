@@ -10,7 +10,7 @@ use umbrage_geom::Aabb;
 /// Most boxes that are grown.
 const MOST: usize = 256;
 
-/// Opaque cells for each box that is grown: growing one takes as long as classifying some hundred cells.
+/// Opaque cells for each box that is grown, which takes about as long as classifying four.
 const CELLS: usize = 32;
 
 /// Cells that are tried for each box, the largest first.
