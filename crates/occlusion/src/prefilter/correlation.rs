@@ -24,7 +24,7 @@ use umbrage_geom::{
 const WIDTHS: f32 = 1.5;
 
 /// The same for strands.
-const STRAND_WIDTHS: f32 = 0.5;
+const STRAND_WIDTHS: f32 = 1.25;
 
 /// Length over width from which a surface is on the way to a strand, and from which it is one.
 const STRAND: [f32; 2] = [6.0, 14.0];
