@@ -38,7 +38,7 @@ pub struct Options {
 }
 
 /// Pixels along a side of images that many ways are compared on.
-const SMALL: u32 = 256;
+const SMALL: u32 = 128;
 
 impl Options {
     fn wants(&self, figure: &str) -> bool {
