@@ -90,7 +90,7 @@ proptest! {
         for back_end in [BackEnd::Scalar, BackEnd::Avx2, BackEnd::Avx512].into_iter().filter(|b| b.is_supported()) {
             let built = built.clone().with_back_end(back_end).unwrap();
             let mut scratch = built.scratch();
-            for light in [None, Some(1)] {
+            for light in [None, Some(1), Some(9)] {
                 let single: Vec<bool> =
                     rays.iter().map(|ray| built.any_hit(ray, Ends::Unknown, light, &mut scratch)).collect();
                 prop_assert_eq!(&single, &single_truth, "{:?} {:?}", light, back_end);
@@ -279,6 +279,12 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
         assert!(!built.any_hit(&inside, Ends::Unknown, Some(0), &mut scratch));
     }
     assert!(counters.solid_hits == 200 && counters.first_hits > 150, "{counters:?}");
+    // Once there are many lights none has boxes of its own.
+    let (ray, own) = (Ray::between([3.0, 0.0, 0.0], [-3.0, 0.1, 0.0]), counters.first_hits);
+    for light in [20, 0] {
+        assert!(built.any_hit_counted(&ray, Ends::Unknown, Some(light), &mut scratch, &mut counters));
+    }
+    assert!(counters.solid_hits == 202 && counters.first_hits == own, "{counters:?}");
     // An open one, from inside through the hole.
     let mesh = bowl(0.9);
     let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
