@@ -31,7 +31,7 @@ pub fn count(scene: &Scene, method: &Method, reference: &Reference, views: u32, 
     let mut compared = 0usize;
     for seed in 0..views {
         let view = scene.random_view(seed, size);
-        let once = method.once.map(|pixels| rate(Arc::clone(&surface), &view, pixels)).transpose()?;
+        let once = method.once.map(|once| rate(Arc::clone(&surface), &view, once)).transpose()?;
         for (x, y) in view.pixels() {
             let (ray, differential) = view.ray(x, y);
             let hit = match &once {

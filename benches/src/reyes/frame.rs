@@ -10,7 +10,9 @@ use umbrage_geom::{
     offset_origin,
     sampling::{combine, hash, pixel_seed, unit},
 };
-use umbrage_reyes::{RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState};
+use umbrage_reyes::{
+    EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
+};
 
 /// How shadow rays are traced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,14 +37,21 @@ pub struct Setting<'a> {
     pub shadows: Shadows,
 }
 
+/// Rates chosen once, by the camera: see [`EyeRates`].
+#[derive(Clone, Copy)]
+pub struct Once {
+    pub pixels: f32,
+    pub bend: Option<f32>,
+}
+
 /// A method: its name, how its surface is made and traced.
 #[derive(Clone, Copy)]
 pub struct Method {
     pub name: &'static str,
     pub surface: SurfaceOptions,
     pub trace: TraceOptions,
-    /// Instead of rates by each ray, one rate a patch: edges of so many pixels.
-    pub once: Option<f32>,
+    /// Instead of rates by each ray, one rate a patch: edges of so many pixels, all alike if the turn is 0.
+    pub once: Option<Once>,
 }
 
 impl Method {
@@ -54,24 +63,25 @@ impl Method {
     pub fn once(name: &'static str, pixels: f32) -> Self {
         // Nothing of the trees of patches is needed once a patch is made.
         let surface = SurfaceOptions::default().with_tight_levels(0).with_tree_bytes(0);
-        Self { once: Some(pixels), ..Self::new(name, surface, TraceOptions::default()) }
+        Self { once: Some(Once { pixels, bend: None }), ..Self::new(name, surface, TraceOptions::default()) }
     }
 }
 
 /// Rates for a view.
-pub fn rate(surface: Arc<Surface>, view: &View, pixels: f32) -> Result<RatedSurface> {
+pub fn rate(surface: Arc<Surface>, view: &View, once: Once) -> Result<RatedSurface> {
     let (_, differential) = view.ray(0, 0);
-    let width = differential.d_direction[0].length() * pixels;
-    Ok(RatedSurface::for_eye(surface, view.eye, width, 10)?)
+    let rates = EyeRates::new(view.eye, differential.d_direction[0].length() * once.pixels);
+    let rates = once.bend.map_or(rates, |bend| rates.with_bend(bend));
+    Ok(RatedSurface::for_eye(surface, &rates)?)
 }
 
 /// [`render`] at rates chosen once.
-fn render_once(scene: &Scene, setting: &Setting, method: &Method, pixels: f32) -> Result<Frame> {
+fn render_once(scene: &Scene, setting: &Setting, method: &Method, once: Once) -> Result<Frame> {
     #[cfg(feature = "embree")]
     let before = crate::memory::start();
     let start = Instant::now();
     let surface = Arc::new(Surface::build(&scene.control, &method.surface)?);
-    let mut caster = rate(Arc::clone(&surface), &setting.view, pixels)?;
+    let mut caster = rate(Arc::clone(&surface), &setting.view, once)?;
     let build_s = start.elapsed().as_secs_f64();
     let (image, rays, hits) = cast(setting, &mut caster);
     let seconds = start.elapsed().as_secs_f64() - build_s;
@@ -132,8 +142,8 @@ pub fn jitter(x: u32, y: u32, l: usize, i: u32) -> Vec2 {
 
 /// Renders with a surface made for the occasion.
 pub fn render(scene: &Scene, setting: &Setting, method: &Method) -> Result<Frame> {
-    if let Some(pixels) = method.once {
-        return render_once(scene, setting, method, pixels);
+    if let Some(once) = method.once {
+        return render_once(scene, setting, method, once);
     }
     let start = Instant::now();
     let surface = Arc::new(Surface::build(&scene.control, &method.surface)?);

@@ -4,7 +4,7 @@
 use super::{
     Options, SMALL, cracks,
     figures::{ROOM, row},
-    frame::{Frame, Method, Reference, Setting, Shadows, render},
+    frame::{Frame, Method, Once, Reference, Setting, Shadows, render},
     scenes::Scene,
 };
 use crate::{
@@ -40,6 +40,7 @@ fn methods() -> Vec<Method> {
         method("default", tight, trace),
         method("default-occluders", tight, trace.with_occluder_cells(64)),
         Method::once("once", 1.0),
+        Method { once: Some(Once { pixels: 1.0, bend: Some(0.0) }), ..Method::once("once-even", 1.0) },
     ]
 }
 

@@ -7,6 +7,7 @@ pub mod camera;
 pub mod cli;
 pub mod compare;
 mod error;
+mod far;
 pub mod fingerprint;
 pub mod geometry;
 pub mod image;

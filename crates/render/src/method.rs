@@ -3,12 +3,11 @@
 //! A method sees all rays of one receiver to one light (or all its ambient rays) at once, with each ray's share of solid
 //! angle, so that methods which trace fans, masks or cones can use them.
 
-use crate::{RenderError, geometry::Geometry, volumetric};
+use crate::{RenderError, far::FarOpacity, geometry::Geometry, volumetric};
 use umbrage_accel::{Bvh, Counters, Statistics};
 use umbrage_aomask::{
     BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, TableOptions,
-    coarse::{self, FarField},
-    exact,
+    coarse, exact,
 };
 use umbrage_geom::{Falloff, Ray};
 use umbrage_occlusion::{
@@ -149,58 +148,23 @@ const PREFILTER: &str = "prefilter";
 const SHADOW_THRESHOLD: f32 = 0.2;
 /// See [`SHADOW_THRESHOLD`].
 pub(crate) const AO_THRESHOLD: f32 = 0.3;
-/// Near occluders block in `mask-prefilter`, up to this share of the radius or, where there is none, of the diagonal.
-pub(crate) const NEAR: f32 = 0.1;
-
-/// Who answers rays with solid angles.
-pub(crate) trait Cones: Sync {
-    fn answer(&self, cones: &[ConeRay], passed: &mut [f32]);
-}
-
-impl Cones for PrefilteredRays<'_> {
-    fn answer(&self, cones: &[ConeRay], passed: &mut [f32]) {
-        self.answer(cones, passed, &mut ());
-    }
-}
-
-/// Prefiltered rays beyond a distance.
-pub(crate) struct Far<C> {
-    pub(crate) cones: C,
-    pub(crate) near: f32,
-}
-
-impl<C: Cones> FarField for Far<C> {
-    fn near(&self) -> f32 {
-        self.near
-    }
-
-    fn bundle(&self) -> usize {
-        1
-    }
-
-    fn transmittances(&self, cones: &coarse::Cones, passed: &mut [f32]) {
-        let cones: Vec<ConeRay> =
-            cones.rays(self.near).map(|(ray, solid_angle)| ConeRay { ray, solid_angle }).collect();
-        self.cones.answer(&cones, passed);
-    }
-}
 
 /// All ambient rays of a receiver as one mask.
 struct Masks<'a> {
     rays: SingleRays<'a>,
     bvh: &'a Bvh,
-    way: Way<'a>,
+    way: Way,
     options: MaskOptions,
 }
 
 /// How masks are found.
-enum Way<'a> {
+enum Way {
     /// The bits of single rays.
     Exact(Pattern),
     /// From tables: approximate.
     Tables(Box<MaskTables>),
-    /// Exact up to a distance, prefiltered beyond it: approximate.
-    Prefiltered(Pattern, Far<PrefilteredRays<'a>>),
+    /// Exact up to a distance, by stored opacity beyond it: approximate.
+    Prefiltered(Pattern, Box<FarOpacity>),
 }
 
 impl<'a> Masks<'a> {
@@ -217,9 +181,9 @@ impl<'a> Masks<'a> {
         let way = match name {
             MASK_TABLE => Way::Tables(Box::new(MaskTables::new(pattern, &TableOptions::default())?)),
             MASK_PREFILTER => {
-                let rays = PrefilteredRays::new(geometry, AO_THRESHOLD)?;
-                let near = NEAR * sky.radius.min(geometry.bounds().diagonal());
-                Way::Prefiltered(pattern, Far { cones: rays, near })
+                let mesh = geometry.flat_opaque().map(|(_, mesh)| mesh);
+                let mesh = mesh.ok_or(RenderError::MaskGeometry(name))?;
+                Way::Prefiltered(pattern, Box::new(FarOpacity::build(mesh, &mut |_| true)?))
             }
             _ => Way::Exact(pattern),
         };
@@ -231,8 +195,8 @@ impl<'a> Masks<'a> {
         match &self.way {
             Way::Tables(tables) => tables.answer_receivers(bvh, receivers, options, outputs, &mut |_| true),
             Way::Prefiltered(pattern, far) => {
-                let best = BackEnd::best();
-                coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, &mut |_| true)
+                let (far, best) = (far.cones(pattern.len(), options.radius)?, BackEnd::best());
+                coarse::answer_receivers(bvh, &far, pattern, receivers, options, best, outputs, &mut |_| true)
             }
             Way::Exact(pattern) if self.rays.geometry.is_opaque() => {
                 let best = BackEnd::best();

@@ -6,7 +6,7 @@
 use crate::RenderError;
 use std::sync::Arc;
 use umbrage_geom::{PolygonMesh, TriangleMesh, glam::Vec3};
-use umbrage_reyes::{RatedSurface, Surface, SurfaceError, SurfaceOptions};
+use umbrage_reyes::{EyeRates, RatedSurface, Surface, SurfaceError, SurfaceOptions};
 use umbrage_scene::{Ground, Scene, Settings, Subdivision, SubdivisionRate};
 
 /// Level of the mesh around which a camera is placed.
@@ -64,7 +64,8 @@ fn refined(scene: &Scene, index: usize, subdivision: &Subdivision) -> Result<Tri
             let eye = Vec3::from(scene.camera.position);
             let instances = scene.instances.iter().filter(|i| i.mesh == index);
             let places: Vec<_> = instances.map(|i| i.world_from_object).collect();
-            Ok(RatedSurface::for_eye_on(surface, &places, eye, width, MAX_LEVEL)?.to_mesh())
+            let rates = EyeRates::new(eye, width).with_max_level(MAX_LEVEL);
+            Ok(RatedSurface::for_eye_on(surface, &places, &rates)?.to_mesh())
         }
         SubdivisionRate::Level(level) => at_level(surface, level),
     }

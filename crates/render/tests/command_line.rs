@@ -156,7 +156,7 @@ fn the_sky_by_masks_looks_like_the_sky_by_rays() {
     let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
     let (rmse, bias) = (comparison["rmse"].as_f64().unwrap(), comparison["bias"].as_f64().unwrap());
     assert!(rmse > 0.0 && rmse < 0.03 && bias.abs() < 0.01, "{comparison}");
-    // Near by masks, far by prefiltered nodes.
+    // Near by masks, far by stored opacity.
     folder.ok("render many.toml -o far.exr --ao mask-prefilter");
     let comparison = folder.ok("compare exact.exr far.exr --json");
     let comparison: serde_json::Value = serde_json::from_str(&comparison).unwrap();
@@ -276,6 +276,11 @@ fn masks_bake_given_points_and_write_down_their_rays() {
     assert!((ao(&folder.path("table.ply"))[0] - values[0]).abs() < 0.1);
     folder.ok(&format!("{bake}-prefilter -o far.ply --rays 64 --radius 2"));
     assert!((ao(&folder.path("far.ply"))[0] - values[0]).abs() < 0.1);
+    // A ground without end is no part of what is stored.
+    folder.ok(&format!("{bake} -o on.ply --rays 256 --ground"));
+    folder.ok(&format!("{bake}-prefilter -o far-on.ply --rays 256 --ground"));
+    let (near, far) = (ao(&folder.path("on.ply"))[0], ao(&folder.path("far-on.ply"))[0]);
+    assert!(near < 0.6 && (near - far).abs() < 0.05, "{near} {far}");
     folder.ok(&format!("{bake} -o few.ply --rays 1024 --radius 2 --target-error 0.01"));
     assert!((ao(&folder.path("few.ply"))[0] - values[0]).abs() < 0.05);
     folder.fails(&format!("{bake} -o x.ply --target-error 0"), &["target error"]);

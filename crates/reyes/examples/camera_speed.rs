@@ -5,8 +5,8 @@
 use std::{path::Path, sync::Arc, time::Instant};
 use umbrage_geom::{Ray, glam::Vec3, offset_origin};
 use umbrage_reyes::{
-    RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState, camera_differential,
-    light_differential,
+    EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
+    camera_differential, light_differential,
 };
 use umbrage_scene::mesh_file::read_polygons;
 
@@ -86,7 +86,7 @@ fn by_ray(camera: &Camera, surface: Arc<Surface>, diagonal: f32) -> Result<(), B
 
 fn once(camera: &Camera, surface: Arc<Surface>) -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
-    let rated = RatedSurface::for_eye(surface, camera.eye, 2.0 * camera.right.length(), 10)?;
+    let rated = RatedSurface::for_eye(surface, &EyeRates::new(camera.eye, 2.0 * camera.right.length()))?;
     println!("once: {:.3} s to make", start.elapsed().as_secs_f64());
     for _ in 0..3 {
         let start = Instant::now();

@@ -8,6 +8,7 @@ mod cells;
 mod diagsplit;
 mod dice;
 mod error;
+mod eye;
 mod footprint;
 mod grid;
 mod kernel;
@@ -24,6 +25,7 @@ mod trace;
 
 pub use bucket::{BucketOptions, Fragment, RasterCamera, rasterize};
 pub use error::SurfaceError;
+pub use eye::EyeRates;
 pub use footprint::{camera_differential, light_differential, reflect, refract};
 pub use length::MAX_LEVEL;
 pub use options::{Borders, FootprintRule, Rates, TraceOptions};

@@ -1,13 +1,12 @@
 //! A surface at one rate a patch, chosen once for all rays, such as by the camera of a picture.
 
 use crate::{
-    Surface, SurfaceError, SurfaceHit,
+    EyeRates, Surface, SurfaceError, SurfaceHit,
     cells::Cells,
     dice::{GridKey, Stitch},
     grid::GridRay,
-    length::{MAX_LEVEL, cell},
-    patch::Lattice,
-    surface::{LimitPoint, SIZE},
+    length::MAX_LEVEL,
+    surface::LimitPoint,
 };
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
 use umbrage_accel::{BoxBvh, BoxFanVisitor, BoxVisitor, BuildQuality, FAN};
@@ -17,9 +16,6 @@ use umbrage_geom::{
     kernel::fan::FanRays,
     mesh::MAX_ELEMENTS,
 };
-
-/// Segments of an edge or middle line by which its length is measured.
-const SEGMENTS: usize = 2;
 
 /// Fewest rays of one origin that walk together.
 const SMALLEST_FAN: usize = 3;
@@ -81,20 +77,14 @@ impl RatedSurface {
         Ok(Self { bvh: BoxBvh::build(&boxes, quality)?, cells, levels, surface })
     }
 
-    /// Rates by a camera at `eye`, for which `width` is the size of a micropolygon at distance 1: their edges are about that
-    /// long (between 0.7 and 1.4 times as long where patches are evenly parametrized), measured along the edges and middle
-    /// lines of each patch. At most `max_level` halvings, also where the eye is on the surface.
+    /// Rates by a camera: of lines along the edges and in the middle of each patch, the one that needs most counts. Edges are
+    /// between 0.7 and 1.4 times as long as `rates` say where patches are evenly parametrized.
     ///
     /// # Errors
-    /// As [`Self::new`]; [`SurfaceError::Option`] if the width is not positive, the eye not finite or the level beyond
-    /// [`MAX_LEVEL`].
-    pub fn for_eye(
-        surface: Arc<Surface>,
-        eye: Vec3,
-        width: f32,
-        max_level: u8,
-    ) -> Result<Self, SurfaceError> {
-        Self::for_eye_on(surface, &[Affine3A::IDENTITY], eye, width, max_level)
+    /// As [`Self::new`]; [`SurfaceError::Option`] if the width is not positive, the eye not finite, the level beyond
+    /// [`MAX_LEVEL`] or the turn negative or not finite.
+    pub fn for_eye(surface: Arc<Surface>, rates: &EyeRates) -> Result<Self, SurfaceError> {
+        Self::for_eye_on(surface, &[Affine3A::IDENTITY], rates)
     }
 
     /// [`Self::for_eye`] for a surface that stands in the eye's world at several places: each patch gets the finest rate that
@@ -105,20 +95,11 @@ impl RatedSurface {
     pub fn for_eye_on(
         surface: Arc<Surface>,
         world_from_object: &[Affine3A],
-        eye: Vec3,
-        width: f32,
-        max_level: u8,
+        rates: &EyeRates,
     ) -> Result<Self, SurfaceError> {
-        if !(width > 0.0 && width.is_finite() && eye.is_finite()) {
-            let value = width.into();
-            return Err(SurfaceError::Option { name: "width", value, expected: "a positive number" });
-        }
-        if max_level > MAX_LEVEL {
-            let value = max_level.into();
-            return Err(SurfaceError::Option { name: "max_level", value, expected: "0 to 12" });
-        }
-        let rates = Arc::clone(&surface);
-        Self::new(surface, |patch| rates.levels_for_eye(patch, world_from_object, eye, width, max_level))
+        rates.validate()?;
+        let patches = Arc::clone(&surface);
+        Self::new(surface, |patch| patches.levels_for_eye(patch, world_from_object, rates))
     }
 
     /// The surface.
@@ -328,50 +309,5 @@ impl BoxFanVisitor for FanVisitor<'_> {
         let hits = self.surface.cells.trace_fan(node, rays, fan, self.origin, self.rays);
         self.hits |= hits;
         hits
-    }
-}
-
-impl Surface {
-    /// Levels at which the edges of micropolygons are about as long as `width` times their distance from `eye`, or shorter,
-    /// wherever the surface stands.
-    fn levels_for_eye(
-        &self,
-        patch: u32,
-        places: &[Affine3A],
-        eye: Vec3,
-        width: f32,
-        max_level: u8,
-    ) -> [u8; 2] {
-        const LINE: usize = SEGMENTS + 1;
-        let least = self.least_level(patch);
-        let most = max_level.max(least);
-        let mut points = [Vec3::ZERO; LINE * LINE];
-        let step = SIZE / SEGMENTS as u32;
-        let lattice = Lattice { u0: 0, v0: 0, step_u: step, step_v: step, stride: LINE };
-        self.patches[patch as usize].root.fill(SIZE, &lattice, [LINE; 2], &mut points, &self.context);
-        let (eye, width) = (eye.as_dvec3(), f64::from(width));
-        let mut levels = [least; 2];
-        for world_from_object in places {
-            let placed = points.map(|p| world_from_object.transform_point3(p).as_dvec3());
-            for (axis, line) in (0..2).flat_map(|axis| (0..LINE).map(move |line| (axis, line))) {
-                let point = |i: usize| {
-                    let [u, v] = if axis == 0 { [i, line] } else { [line, i] };
-                    placed[v * LINE + u]
-                };
-                let mut before = point(0);
-                let (mut longest, mut nearest) = (0f64, before.distance(eye));
-                for i in 1..LINE {
-                    let next = point(i);
-                    longest = longest.max(next.distance(before));
-                    nearest = nearest.min(next.distance(eye));
-                    before = next;
-                }
-                // To the nearest power of two.
-                let length = longest * SEGMENTS as f64 * std::f64::consts::FRAC_1_SQRT_2;
-                let fits = |&l: &u8| length * cell(l) <= nearest * width;
-                levels[axis] = levels[axis].max((least..most).find(fits).unwrap_or(most));
-            }
-        }
-        levels
     }
 }

@@ -10,7 +10,7 @@ use umbrage_geom::{
     glam::{Affine3A, Quat, Vec3},
     sampling::{hash, sobol_4d, unit},
 };
-use umbrage_reyes::{RatedSurface, Surface, SurfaceError, SurfaceOptions};
+use umbrage_reyes::{EyeRates, RatedSurface, Surface, SurfaceError, SurfaceOptions};
 
 fn surface(mesh: &PolygonMesh) -> Arc<Surface> {
     Arc::new(Surface::build(mesh, &SurfaceOptions::default()).unwrap())
@@ -134,8 +134,8 @@ fn back_ends_give_the_same_mesh() {
 #[test]
 fn an_eye_sees_even_micropolygons() {
     // A flat sheet of unit squares, seen from above its middle.
-    let rated =
-        RatedSurface::for_eye(surface(&sheet(8, |_, _| 0.0)), Vec3::new(4.0, 4.0, 10.0), 0.01, 10).unwrap();
+    let rates = EyeRates::new(Vec3::new(4.0, 4.0, 10.0), 0.01).with_bend(0.0);
+    let rated = RatedSurface::for_eye(surface(&sheet(8, |_, _| 0.0)), &rates).unwrap();
     let mesh = rated.to_mesh();
     for [a, b, _] in &mesh.triangles {
         let [a, b] = [a, b].map(|&v| Vec3::from(mesh.positions[v as usize]));
@@ -145,11 +145,43 @@ fn an_eye_sees_even_micropolygons() {
     // Nearer eyes ask for finer rates, up to the level given.
     let levels = |z: f32| {
         let surface = surface(&sheet(3, |_, _| 0.0));
-        RatedSurface::for_eye(surface, Vec3::new(1.5, 1.5, z), 0.05, 7).unwrap().levels(4)
+        let rates = EyeRates::new(Vec3::new(1.5, 1.5, z), 0.05).with_max_level(7);
+        RatedSurface::for_eye(surface, &rates).unwrap().levels(4)
     };
     assert_eq!(levels(0.0), [7, 7]);
     let all: Vec<u8> = [0.1, 0.5, 2.0, 8.0, 100.0].map(|z| levels(z)[0]).to_vec();
     assert!(all.is_sorted_by(|a, b| a >= b) && all[0] > all[4] + 3, "{all:?}");
+}
+
+#[test]
+fn bent_patches_are_finer_than_flat_ones() {
+    // A ridge along the middle of a sheet.
+    let control = sheet(8, |i, _| if i == 4 { 0.8 } else { 0.0 });
+    let rated = |bend: f32| {
+        let rates = EyeRates::new(Vec3::new(4.0, 4.0, 40.0), 0.002).with_bend(bend);
+        RatedSurface::for_eye(surface(&control), &rates).unwrap()
+    };
+    let (even, bent) = (rated(0.0), rated(0.05));
+    // Levels by how far patches are from flat: two levels is four times as long, or as short.
+    for patch in 0..64 {
+        let (even, bent) = (even.levels(patch), bent.levels(patch));
+        assert!((0..2).all(|axis| even[axis].abs_diff(bent[axis]) <= 2), "{patch}: {even:?} {bent:?}");
+    }
+    // Far from the ridge nothing turns; on it edges across turn, those along it do not.
+    let of = |x: f32| {
+        (0..64).find(|&p| {
+            (even.surface().limit(p, 0.5, 0.5).position - Vec3::new(x, 3.5, 0.0)).truncate().length() < 0.3
+        })
+    };
+    let (flat, ridge) = (of(0.5).unwrap(), of(3.5).unwrap());
+    assert!((0..2).all(|axis| bent.levels(flat)[axis] + 2 == even.levels(flat)[axis]));
+    let gained: Vec<i32> = (0..2)
+        .map(|axis| i32::from(bent.levels(ridge)[axis]) - i32::from(even.levels(ridge)[axis]))
+        .collect();
+    assert!(gained.iter().max() > Some(&-1) && gained.iter().min() == Some(&-2), "{gained:?}");
+    // The finer the turn that edges may take, the finer they are.
+    let counts = [0.4, 0.1, 0.02, 0.004].map(|bend| rated(bend).micropolygons());
+    assert!(counts.is_sorted() && counts[0] < counts[3] / 4, "{counts:?}");
 }
 
 #[test]
@@ -183,7 +215,8 @@ fn meshes_carry_objects_and_rates_of_all_places() {
         Affine3A::from_scale_rotation_translation(Vec3::splat(scale), Quat::IDENTITY, Vec3::X * x)
     };
     let levels = |places: &[Affine3A]| {
-        let rated = RatedSurface::for_eye_on(surface(&cube()), places, Vec3::X * 10.0, 0.02, 9).unwrap();
+        let rated =
+            RatedSurface::for_eye_on(surface(&cube()), places, &EyeRates::new(Vec3::X * 10.0, 0.02)).unwrap();
         (0..6).map(|patch| rated.levels(patch)).collect::<Vec<_>>()
     };
     let (near, far, large) = (levels(&[place(7.0, 1.0)]), levels(&[place(-90.0, 1.0)]), place(-90.0, 10.0));
@@ -202,10 +235,14 @@ fn bad_rates_are_named() {
     };
     error(RatedSurface::new(surface(&cube()), |_| [13, 0]), "level");
     for width in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-        error(RatedSurface::for_eye(surface(&cube()), Vec3::ZERO, width, 5), "width");
+        error(RatedSurface::for_eye(surface(&cube()), &EyeRates::new(Vec3::ZERO, width)), "width");
     }
-    error(RatedSurface::for_eye(surface(&cube()), Vec3::NAN, 1.0, 5), "width");
-    error(RatedSurface::for_eye(surface(&cube()), Vec3::ZERO, 1.0, 13), "max_level");
+    error(RatedSurface::for_eye(surface(&cube()), &EyeRates::new(Vec3::NAN, 1.0)), "width");
+    let rates = EyeRates::new(Vec3::ZERO, 1.0);
+    error(RatedSurface::for_eye(surface(&cube()), &rates.with_max_level(13)), "max_level");
+    for bend in [-1.0, f32::NAN, f32::INFINITY] {
+        error(RatedSurface::for_eye(surface(&cube()), &rates.with_bend(bend)), "bend");
+    }
     let rated = RatedSurface::new(surface(&cube()), |_| [2, 2]).unwrap();
     for bad in [Ray::new([f32::NAN; 3], [0.0, 0.0, 1.0]), Ray::new([0.0; 3], [0.0; 3])] {
         assert!(!rated.any_hit(&bad) && rated.closest_hit(&bad).is_none());

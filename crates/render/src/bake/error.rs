@@ -122,9 +122,9 @@ pub enum BakeError {
     /// The target error is 0, negative or NaN, or the method can't aim at one.
     #[error("target error: {0}")]
     TargetError(&'static str),
-    /// The occluders were not prefiltered.
-    #[error("the occluders are not prefiltered, which this method needs")]
-    NotPrefiltered,
+    /// The occluders' opacity was not stored.
+    #[error("the occluders have no stored opacity, which this method needs")]
+    NoFarOpacity,
     /// Rays could not be written down.
     #[error("writing rays: {0}")]
     Dump(std::io::Error),

@@ -22,8 +22,8 @@ pub enum MaskMethod {
     /// Exactly: the bits of single rays.
     #[default]
     Exact,
-    /// Exactly up to a tenth of the radius (of the diagonal where there is none), by prefiltered opacity beyond it: approximate.
-    /// Opaque occluders that [`Occluders::prefiltered`] has been called on.
+    /// Exactly up to a tenth of the radius (of the diagonal where there is none) or a little more, by stored opacity
+    /// ([`aomask::coarse::field`]) beyond it: approximate. Opaque occluders with [`Occluders::with_far_opacity`].
     Prefilter,
     /// From tables, approximately (`docs/aomask.md` has the errors); opaque occluders only. Rays that would start into the
     /// receiver's own triangle, as around a shading normal, are blocked by it.
@@ -212,8 +212,7 @@ impl Job<'_> {
     }
 
     fn prefilter(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let near = crate::method::NEAR * self.options.radius.min(self.occluders.diagonal());
-        let far = self.occluders.far(near).ok_or(BakeError::NotPrefiltered)?;
+        let far = self.occluders.far(self.pattern.len(), self.options.radius)?;
         let (bvh, best) = (self.occluders.bvh(), BackEnd::best());
         let all: Vec<usize> = (0..self.asked.len()).collect();
         self.by_masks(&all, |receivers, outputs| {

@@ -1,9 +1,11 @@
 //! What blocks the rays of a bake.
 
 use super::{BakeError, Sides};
-use crate::method::{AO_THRESHOLD, Cones, Far};
+use crate::{
+    far::{FarCones, FarOpacity},
+    method::AO_THRESHOLD,
+};
 use umbrage_accel::{BuildOptions, Bvh};
-use umbrage_aomask::coarse::FarField;
 use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
@@ -32,12 +34,8 @@ pub struct Occluders {
     bounds: Aabb,
     /// What answers instead of exact rays, if asked for.
     prefiltered: Option<(Prefiltered, Query)>,
-}
-
-impl Cones for (&Prefiltered, &Query) {
-    fn answer(&self, cones: &[ConeRay], passed: &mut [f32]) {
-        self.0.transmittances_with(cones, self.1, passed, &mut ());
-    }
+    /// What answers beyond exact masks, if asked for.
+    far: Option<FarOpacity>,
 }
 
 /// Buffers of [`Occluders::light`].
@@ -88,7 +86,7 @@ impl Occluders {
             depths = Vec::new();
         }
         let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default())?;
-        Ok(Self { bvh, mesh, depths, bounds, prefiltered: None })
+        Ok(Self { bvh, mesh, depths, bounds, prefiltered: None, far: None })
     }
 
     /// Prefilters the occluders: faster for loose geometry, and approximate.
@@ -107,14 +105,31 @@ impl Occluders {
         Ok(self)
     }
 
+    /// Stores the occluders' opacity for [`super::MaskMethod::Prefilter`]. `progress` gets growing fractions that end at exactly
+    /// 1, from any thread, and returns `false` to cancel.
+    ///
+    /// # Errors
+    /// [`BakeError::SemiTransparent`]; [`BakeError::Mask`]; [`BakeError::Cancelled`].
+    pub fn with_far_opacity(
+        mut self,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<Self, BakeError> {
+        if !self.is_opaque() {
+            return Err(BakeError::SemiTransparent);
+        }
+        self.far = Some(FarOpacity::build(&self.mesh, progress)?);
+        Ok(self)
+    }
+
     /// Whether exact rays are not used.
     pub fn is_prefiltered(&self) -> bool {
         self.prefiltered.is_some()
     }
 
-    /// The prefiltered occluders as what lies beyond `near`.
-    pub(super) fn far(&self, near: f32) -> Option<impl FarField> {
-        self.prefiltered.as_ref().map(|(scene, query)| Far { cones: (scene, query), near })
+    /// What lies beyond exact masks of patterns of `rays` rays up to `radius`.
+    pub(super) fn far(&self, rays: usize, radius: f32) -> Result<FarCones<'_>, BakeError> {
+        let far = self.far.as_ref().ok_or(BakeError::NoFarOpacity)?;
+        Ok(far.cones(rays, radius)?)
     }
 
     /// Bounds of the meshes, without the ground.

@@ -105,7 +105,7 @@ enum Method {
     Rays,
     /// Rays that end at prefiltered nodes: approximate, for foliage and hair.
     Prefilter,
-    /// Masks for what is near, prefiltered nodes beyond: approximate. 32 to 1024 rays, a multiple of 32.
+    /// Masks for what is near, stored opacity beyond: approximate, for foliage and hair. 32 to 1024 rays, a multiple of 32.
     MaskPrefilter,
     /// All rays of a receiver as one bit mask, from tables: approximate. 32 to 1024 rays, a multiple of 32.
     MaskTable,
@@ -350,8 +350,14 @@ fn bake_and_write(
     let ground = if arguments.ground { Ground::Below } else { Ground::Absent };
     let meshes: Vec<&TriangleMesh> = std::iter::once(&input.mesh).chain(&input.occluders).collect();
     let mut occluders = Occluders::build(&meshes, ground).with_context(source)?;
-    if let Method::Prefilter | Method::MaskPrefilter = arguments.method {
-        occluders = occluders.prefiltered().with_context(source)?;
+    match arguments.method {
+        Method::Prefilter => occluders = occluders.prefiltered().with_context(source)?,
+        Method::MaskPrefilter => match occluders.with_far_opacity(&mut |_| bar.check().is_ok()) {
+            Ok(with_far) => occluders = with_far,
+            Err(BakeError::Cancelled) => return Err(Interrupted.into()),
+            Err(other) => return Err(other).with_context(source),
+        },
+        _ => {}
     }
     let build_s = start.elapsed().as_secs_f64();
     bar.check()?;
