@@ -44,7 +44,9 @@ impl FarOpacity {
         } else {
             let mut rest = mesh.triangles.clone();
             // From the back, so that what is still to be taken stays in place.
-            large.iter().rev().for_each(|&i| drop(rest.swap_remove(i)));
+            for &i in large.iter().rev() {
+                rest.swap_remove(i);
+            }
             bounds = bounds_of(mesh, &rest);
             field = OpacityField::build(&mesh.positions, &rest, &options, progress)?;
         }

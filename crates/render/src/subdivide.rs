@@ -64,7 +64,8 @@ fn refined(scene: &Scene, index: usize, subdivision: &Subdivision) -> Result<Tri
             let eye = Vec3::from(scene.camera.position);
             let instances = scene.instances.iter().filter(|i| i.mesh == index);
             let places: Vec<_> = instances.map(|i| i.world_from_object).collect();
-            let rates = EyeRates::new(eye, width).with_max_level(MAX_LEVEL);
+            // Pixels are what the user asked for, wherever the surface bends.
+            let rates = EyeRates::new(eye, width).with_max_level(MAX_LEVEL).with_bend(0.0);
             Ok(RatedSurface::for_eye_on(surface, &places, &rates)?.to_mesh())
         }
         SubdivisionRate::Level(level) => at_level(surface, level),

@@ -161,7 +161,7 @@ fn bent_patches_are_finer_than_flat_ones() {
         let rates = EyeRates::new(Vec3::new(4.0, 4.0, 40.0), 0.002).with_bend(bend);
         RatedSurface::for_eye(surface(&control), &rates).unwrap()
     };
-    let (even, bent) = (rated(0.0), rated(0.05));
+    let (even, bent) = (rated(0.0), rated(0.002));
     // Levels by how far patches are from flat: two levels is four times as long, or as short.
     for patch in 0..64 {
         let (even, bent) = (even.levels(patch), bent.levels(patch));
@@ -178,7 +178,7 @@ fn bent_patches_are_finer_than_flat_ones() {
     let gained: Vec<i32> = (0..2)
         .map(|axis| i32::from(bent.levels(ridge)[axis]) - i32::from(even.levels(ridge)[axis]))
         .collect();
-    assert!(gained.iter().max() > Some(&-1) && gained.iter().min() == Some(&-2), "{gained:?}");
+    assert!(gained.iter().max() >= Some(&1) && gained.iter().min() == Some(&-2), "{gained:?}");
     // The finer the turn that edges may take, the finer they are.
     let counts = [0.4, 0.1, 0.02, 0.004].map(|bend| rated(bend).micropolygons());
     assert!(counts.is_sorted() && counts[0] < counts[3] / 4, "{counts:?}");
