@@ -240,7 +240,9 @@ impl SurfaceTracer {
             FootprintRule::Edges | FootprintRule::ProjectedEdges | FootprintRule::DiagSplit => {
                 let [bottom, right, top, left] =
                     [0, 1, 2, 3].map(|edge| self.edge_level(patch, edge, ray, width));
-                [bottom.max(top), right.max(left)]
+                let levels = [bottom.max(top), right.max(left)];
+                // Edges may differ by more than the sides of a grid do.
+                levels.map(|l| l.max(GridKey::depth_for(levels)))
             }
         })
     }
