@@ -1,19 +1,35 @@
 //! What `mask-prefilter` takes for occluders beyond the reach of its exact masks.
 
+use umbrage_accel::Bvh;
 use umbrage_aomask::{
-    BackEnd, MaskError,
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
     coarse::{
-        Cones, FarField,
+        self, Cones, FarField,
         field::{FieldCones, FieldOptions, MarchOptions, OpacityField},
     },
+    exact,
 };
-use umbrage_geom::{Aabb, TriangleMesh, glam::Vec3, segment_hits_triangle};
+use umbrage_geom::{
+    Aabb, TriangleMesh,
+    glam::Vec3,
+    offset_origin,
+    sampling::{combine, hash, unit},
+    segment_hits_triangle,
+};
 
-/// Masks are exact at least up to this share of the radius, or of the diagonal if that is less,
-const NEAR: f32 = 0.1;
+/// How far masks are exact, the first that will do: shares of the radius, or of the diagonal if that is less.
+const NEARS: [f32; 5] = [0.1, 0.15, 0.22, 0.33, 0.5];
 
-/// and over so many of the field's cells, so that it errs as `docs/aomask-exact.md` says at any radius.
+/// Cells of the field over which masks are exact at least; more in proportion for larger shares.
 const NEAR_CELLS: f32 = 2.25;
+
+/// What the field may add to the RMS error of exact rays, and to their mean, at sampled points: walls and floors are darkened by
+/// cells that hold themselves.
+const MOST_RMSE: f64 = 0.0125;
+const MOST_BIAS: f64 = 0.005;
+
+/// Points that are sampled: half of them by area, half by number of triangles.
+const SAMPLES: usize = 512;
 
 /// Most triangles that are left to exact rays.
 const LARGE: usize = 8;
@@ -24,6 +40,8 @@ pub(crate) struct FarOpacity {
     diagonal: f32,
     /// Triangles without which all others lie close together, such as a wide ground: too large for the field.
     large: Vec<[[f32; 3]; 3]>,
+    /// Where errors are looked at.
+    samples: Vec<Receiver>,
 }
 
 impl FarOpacity {
@@ -36,34 +54,110 @@ impl FarOpacity {
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<Self, MaskError> {
         let large = large(mesh);
-        let options = FieldOptions::default();
-        let (field, bounds);
-        if large.is_empty() {
-            bounds = mesh.bounds();
-            field = OpacityField::build(&mesh.positions, &mesh.triangles, &options, progress)?;
-        } else {
-            let mut rest = mesh.triangles.clone();
-            // From the back, so that what is still to be taken stays in place.
-            for &i in large.iter().rev() {
-                rest.swap_remove(i);
-            }
-            bounds = bounds_of(mesh, &rest);
-            field = OpacityField::build(&mesh.positions, &rest, &options, progress)?;
+        let mut rest = mesh.triangles.clone();
+        // From the back, so that what is still to be taken stays in place.
+        for &i in large.iter().rev() {
+            rest.swap_remove(i);
         }
-        let large = large.into_iter().map(|i| mesh.triangle(i)).collect();
-        Ok(Self { field, diagonal: bounds.diagonal(), large })
+        let field = OpacityField::build(&mesh.positions, &rest, &FieldOptions::default(), progress)?;
+        let diagonal = bounds_of(mesh, &rest).diagonal();
+        let samples = samples(mesh, &rest)?;
+        Ok(Self { field, diagonal, large: large.into_iter().map(|i| mesh.triangle(i)).collect(), samples })
     }
 
-    /// For patterns of `rays` rays that end at `radius` (world units) or before.
+    /// How far masks of `pattern`, which has `options`, are to be exact so that the whole errs little at sampled points. `None` if
+    /// the field is of no use, because it would have to begin too far away.
+    ///
+    /// # Errors
+    /// Those of [`coarse::answer_receivers`].
+    pub(crate) fn near(
+        &self,
+        bvh: &Bvh,
+        pattern: &Pattern,
+        options: &PatternOptions,
+        masks: &MaskOptions,
+    ) -> Result<Option<f32>, MaskError> {
+        let (receivers, best) = (&self.samples[..], BackEnd::best());
+        let (mut truth, mut ao) = (vec![0f32; receivers.len()], vec![0f32; receivers.len()]);
+        let many = Pattern::new(&options.clone().with_rays(Pattern::MAX_RAYS).with_jitter(1.0, 0.2))?;
+        let exactly = |pattern: &Pattern, ao: &mut [f32]| {
+            exact::answer_receivers(bvh, pattern, receivers, masks, best, Outputs::new(ao), &mut |_| true)
+        };
+        exactly(&many, &mut truth)?;
+        exactly(pattern, &mut ao)?;
+        let [bias, square] = errors(&ao, &truth);
+        let extent = masks.radius.min(self.diagonal);
+        for share in NEARS {
+            let near = (share * extent).max(share / NEARS[0] * NEAR_CELLS * self.field.cell());
+            if receivers.is_empty() || near >= extent {
+                break;
+            }
+            let far = self.cones(pattern.len(), near, masks.radius)?;
+            let outputs = Outputs::new(&mut ao);
+            coarse::answer_receivers(bvh, &far, pattern, receivers, masks, best, outputs, &mut |_| true)?;
+            let [own_bias, own_square] = errors(&ao, &truth);
+            if (own_bias - bias).abs() <= MOST_BIAS && own_square <= square + MOST_RMSE.powi(2) {
+                return Ok(Some(near));
+            }
+        }
+        Ok(None)
+    }
+
+    /// For patterns of `rays` rays that end at `radius` (world units) or before, of which `near` has been answered.
     ///
     /// # Errors
     /// Those of [`FieldCones::new`].
-    pub(crate) fn cones(&self, rays: usize, radius: f32) -> Result<FarCones<'_>, MaskError> {
-        let near = (NEAR * radius.min(self.diagonal)).max(NEAR_CELLS * self.field.cell());
-        let march = MarchOptions::default();
-        let cones = FieldCones::new(&self.field, rays, near, radius, &march, BackEnd::best())?;
+    pub(crate) fn cones(&self, rays: usize, near: f32, radius: f32) -> Result<FarCones<'_>, MaskError> {
+        let cones =
+            FieldCones::new(&self.field, rays, near, radius, &MarchOptions::default(), BackEnd::best())?;
         Ok(FarCones { cones, large: &self.large })
     }
+}
+
+/// Mean and mean square of the differences.
+fn errors(ao: &[f32], truth: &[f32]) -> [f64; 2] {
+    let mut sums = [0.0; 2];
+    for (ao, truth) in ao.iter().zip(truth) {
+        let error = f64::from(ao - truth);
+        sums = [sums[0] + error, sums[1] + error * error];
+    }
+    sums.map(|sum| sum / ao.len().max(1) as f64)
+}
+
+/// Points on the fronts of `triangles`, the same in every run.
+fn samples(mesh: &TriangleMesh, triangles: &[[u32; 3]]) -> Result<Vec<Receiver>, MaskError> {
+    let corners = |i: usize| triangles[i].map(|v| Vec3::from(mesh.positions[v as usize]).as_dvec3());
+    let area = |i: usize| {
+        let [a, b, c] = corners(i);
+        (b - a).cross(c - a).length()
+    };
+    let half = SAMPLES / 2;
+    let count = half.min(triangles.len());
+    let mut chosen: Vec<usize> = (0..count).map(|i| i * triangles.len() / count).collect();
+    let total: f64 = (0..triangles.len()).map(area).sum();
+    let (mut sum, mut next) = (0.0, 0);
+    for i in 0..triangles.len() {
+        sum += area(i);
+        while next < half && sum * half as f64 >= (next as f64 + 0.5) * total && total > 0.0 {
+            chosen.push(i);
+            next += 1;
+        }
+    }
+    let mut receivers = Vec::with_capacity(chosen.len());
+    for (number, i) in chosen.into_iter().enumerate() {
+        let [a, b, c] = corners(i);
+        let normal = (b - a).cross(c - a).normalize_or_zero().as_vec3();
+        if normal == Vec3::ZERO {
+            continue;
+        }
+        let seed = combine(number as u32, 3);
+        let (root, v) = (f64::from(unit(seed)).sqrt(), f64::from(unit(hash(seed))));
+        let point = (a * (1.0 - root) + b * (root * (1.0 - v)) + c * (root * v)).as_vec3();
+        let magnitude = a.abs().max(b.abs()).max(c.abs()).max_element() as f32;
+        let origin = offset_origin(point, normal, normal, magnitude);
+        receivers.push(Receiver::new(number, origin.to_array(), normal.to_array(), seed)?);
+    }
+    Ok(receivers)
 }
 
 /// [`FarOpacity`] for one pattern.
@@ -144,6 +238,8 @@ fn large(mesh: &TriangleMesh) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use umbrage_accel::BuildOptions;
+    use umbrage_scene::generate::{Parameters, generate};
 
     fn square(mesh: &mut TriangleMesh, corners: [[f32; 3]; 4]) {
         let base = mesh.positions.len() as u32;
@@ -175,8 +271,41 @@ mod tests {
         }
         (cones.lengths, cones.solid_angles) = (vec![f32::INFINITY, 4.0], vec![0.01; 2]);
         let mut passed = [0.5; 2];
-        far.cones(256, f32::INFINITY).unwrap().transmittances(&cones, &mut passed);
+        far.cones(256, 0.5, f32::INFINITY).unwrap().transmittances(&cones, &mut passed);
         assert_eq!(passed, [0.0, 1.0]);
         assert!(large(&TriangleMesh::default()).is_empty());
+    }
+
+    /// Where masks have to be exact up to, over the extent, for radius `radius`.
+    fn share(mesh: &TriangleMesh, radius: f32) -> Option<f32> {
+        let bvh = Bvh::build(&mesh.positions, &mesh.triangles, &BuildOptions::default()).unwrap();
+        let far = FarOpacity::build(mesh, &mut |_| true).unwrap();
+        let options = PatternOptions::default().with_rays(256);
+        let pattern = Pattern::new(&options).unwrap();
+        let masks = MaskOptions::default().with_radius(radius);
+        let near = far.near(&bvh, &pattern, &options, &masks).unwrap();
+        near.map(|near| near / radius.min(far.diagonal))
+    }
+
+    #[test]
+    fn sampled_errors_say_where_the_field_begins() {
+        let bush =
+            generate("bush", &Parameters { triangles: Some(30_000), ..Parameters::default() }).unwrap().mesh;
+        let diagonal = bush.bounds().diagonal();
+        let shares = [0.3, f32::INFINITY].map(|radius| share(&bush, radius * diagonal));
+        assert!(shares.iter().all(|share| share.is_some_and(|share| share < 0.2)), "{shares:?}");
+        // So near that the field has nothing to answer.
+        assert_eq!(share(&bush, 0.001 * diagonal), None);
+        // A floor darkens itself by cells that hold it.
+        let mut floor = TriangleMesh::default();
+        for i in 0..400 {
+            let (x, z) = ((i % 20) as f32, (i / 20) as f32);
+            square(&mut floor, [[x, 0.0, z], [x, 0.0, z + 1.0], [x + 1.0, 0.0, z + 1.0], [x + 1.0, 0.0, z]]);
+        }
+        let shares = [0.1, 1.0].map(|radius| share(&floor, radius * floor.bounds().diagonal()));
+        assert!(
+            shares[0].is_none_or(|share| share > 0.2) && shares[1].is_some_and(|share| share < 0.2),
+            "{shares:?}"
+        );
     }
 }

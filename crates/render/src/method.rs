@@ -164,18 +164,18 @@ enum Way {
     /// From tables: approximate.
     Tables(Box<MaskTables>),
     /// Exact up to a distance, by stored opacity beyond it: approximate.
-    Prefiltered(Pattern, Box<FarOpacity>),
+    Prefiltered(Pattern, Box<FarOpacity>, f32),
 }
 
 impl<'a> Masks<'a> {
     fn new(name: &'static str, geometry: &'a Geometry, sky: &SkyRays) -> Result<Self, RenderError> {
         let bvh = geometry.flat().filter(|_| name == MASK || geometry.is_opaque());
         let bvh = bvh.ok_or(RenderError::MaskGeometry(name))?;
-        let pattern = PatternOptions::default()
+        let pattern_options = PatternOptions::default()
             .with_rays(sky.samples)
             .with_falloff(sky.falloff.clone())
             .with_seed(sky.seed);
-        let pattern = Pattern::new(&pattern)?;
+        let pattern = Pattern::new(&pattern_options)?;
         let options = MaskOptions::default().with_radius(sky.radius);
         options.validate(&pattern)?;
         let way = match name {
@@ -183,7 +183,11 @@ impl<'a> Masks<'a> {
             MASK_PREFILTER => {
                 let mesh = geometry.flat_opaque().map(|(_, mesh)| mesh);
                 let mesh = mesh.ok_or(RenderError::MaskGeometry(name))?;
-                Way::Prefiltered(pattern, Box::new(FarOpacity::build(mesh, &mut |_| true)?))
+                let far = Box::new(FarOpacity::build(mesh, &mut |_| true)?);
+                match far.near(bvh, &pattern, &pattern_options, &options)? {
+                    Some(near) => Way::Prefiltered(pattern, far, near),
+                    None => Way::Exact(pattern),
+                }
             }
             _ => Way::Exact(pattern),
         };
@@ -194,8 +198,8 @@ impl<'a> Masks<'a> {
         let (bvh, options, outputs) = (self.bvh, &self.options, Outputs::new(open));
         match &self.way {
             Way::Tables(tables) => tables.answer_receivers(bvh, receivers, options, outputs, &mut |_| true),
-            Way::Prefiltered(pattern, far) => {
-                let (far, best) = (far.cones(pattern.len(), options.radius)?, BackEnd::best());
+            Way::Prefiltered(pattern, far, near) => {
+                let (far, best) = (far.cones(pattern.len(), *near, options.radius)?, BackEnd::best());
                 coarse::answer_receivers(bvh, &far, pattern, receivers, options, best, outputs, &mut |_| true)
             }
             Way::Exact(pattern) if self.rays.geometry.is_opaque() => {

@@ -353,3 +353,21 @@ proptest! {
         }
     }
 }
+
+/// Sides that ask for very different rates: grids stay small, and what is hit lies on the sheet.
+#[test]
+fn long_patches_are_divided_by_any_rule() {
+    let mut mesh = sheet(3, |i, j| 0.1 * ((i + 2 * j) % 3) as f32);
+    mesh.positions.iter_mut().for_each(|p| p[0] *= 300.0);
+    for tracer in wild_tracers(&mesh) {
+        let mut state = TraceState::new(tracer.options());
+        for patch in 0..9 {
+            let target = tracer.surface().limit(patch, 0.4, 0.6).position;
+            let (ray, differential) = camera_ray(target + Vec3::new(2.0, 0.5, 20.0), target, 0.02);
+            let levels = tracer.levels(patch, &ray, &differential).unwrap();
+            assert!(levels[0] > 3 && levels[0] <= levels[1] + 3, "{levels:?}, {:?}", tracer.options());
+            let hit = tracer.closest_hit(&ray, &differential, &mut state).unwrap();
+            assert!((ray.at(hit.t) - target).truncate().length() < 2.0, "{:?}", tracer.options());
+        }
+    }
+}

@@ -22,8 +22,8 @@ pub enum MaskMethod {
     /// Exactly: the bits of single rays.
     #[default]
     Exact,
-    /// Exactly up to a tenth of the radius (of the diagonal where there is none) or a little more, by stored opacity
-    /// ([`aomask::coarse::field`]) beyond it: approximate. Opaque occluders with [`Occluders::with_far_opacity`].
+    /// Exactly up to a tenth of the radius (of the diagonal where there is none), or as far as sampled points ask for, by stored
+    /// opacity ([`aomask::coarse::field`]) beyond it: approximate. Opaque occluders with [`Occluders::with_far_opacity`].
     Prefilter,
     /// From tables, approximately (`docs/aomask.md` has the errors); opaque occluders only. Rays that would start into the
     /// receiver's own triangle, as around a shading normal, are blocked by it.
@@ -76,7 +76,8 @@ pub fn bake_masks(
         return Err(BakeError::Length { what: "bent normals", actual, expected });
     }
     let mine: Vec<u32> = shard_of(receivers, shard, ao)?.concat();
-    let pattern = Pattern::new(&pattern_options(options))?;
+    let pattern_options = pattern_options(options);
+    let pattern = Pattern::new(&pattern_options)?;
     let sides = match options.sides {
         Sides::Both => aomask::Sides::Both,
         Sides::Front => aomask::Sides::Front,
@@ -86,13 +87,14 @@ pub fn bake_masks(
         MaskOptions::default().with_radius(options.radius.resolve(occluders.diagonal())).with_sides(sides);
     let asked = lobes(receivers, &mine, options)?;
     let adaptive = match options.target_error {
-        Some(target) => Some((Adaptive::new(&pattern_options(options))?, target)),
+        Some(target) => Some((Adaptive::new(&pattern_options)?, target)),
         None => None,
     };
     let (directions, masks) = (bent_normals.is_some(), dump.is_some());
     let job = Job {
         occluders,
         pattern: &pattern,
+        pattern_options: &pattern_options,
         options: &mask_options,
         asked: &asked,
         directions,
@@ -162,6 +164,7 @@ struct Answers {
 struct Job<'a> {
     occluders: &'a Occluders,
     pattern: &'a Pattern,
+    pattern_options: &'a PatternOptions,
     options: &'a MaskOptions,
     asked: &'a [Asked],
     /// Whether directions are wanted.
@@ -212,7 +215,9 @@ impl Job<'_> {
     }
 
     fn prefilter(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let far = self.occluders.far(self.pattern.len(), self.options.radius)?;
+        let Some(far) = self.occluders.far(self.pattern, self.pattern_options, self.options)? else {
+            return self.exact(progress);
+        };
         let (bvh, best) = (self.occluders.bvh(), BackEnd::best());
         let all: Vec<usize> = (0..self.asked.len()).collect();
         self.by_masks(&all, |receivers, outputs| {

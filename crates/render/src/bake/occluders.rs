@@ -6,6 +6,7 @@ use crate::{
     method::AO_THRESHOLD,
 };
 use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_aomask::{MaskOptions, Pattern, PatternOptions};
 use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Ray, TriangleMesh, intersect_triangle,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
@@ -126,10 +127,16 @@ impl Occluders {
         self.prefiltered.is_some()
     }
 
-    /// What lies beyond exact masks of patterns of `rays` rays up to `radius`.
-    pub(super) fn far(&self, rays: usize, radius: f32) -> Result<FarCones<'_>, BakeError> {
+    /// What lies beyond exact masks of `pattern`, which has `options`; `None` if stored opacity is of no use.
+    pub(super) fn far(
+        &self,
+        pattern: &Pattern,
+        options: &PatternOptions,
+        masks: &MaskOptions,
+    ) -> Result<Option<FarCones<'_>>, BakeError> {
         let far = self.far.as_ref().ok_or(BakeError::NoFarOpacity)?;
-        Ok(far.cones(rays, radius)?)
+        let near = far.near(&self.bvh, pattern, options, masks)?;
+        Ok(near.map(|near| far.cones(pattern.len(), near, masks.radius)).transpose()?)
     }
 
     /// Bounds of the meshes, without the ground.
