@@ -215,14 +215,18 @@ impl Job<'_> {
     }
 
     fn prefilter(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let Some(far) = self.occluders.far(self.pattern, self.pattern_options, self.options)? else {
-            return self.exact(progress);
-        };
+        let far = self.occluders.far(self.pattern, self.pattern_options, self.options)?;
         let (bvh, best) = (self.occluders.bvh(), BackEnd::best());
         let all: Vec<usize> = (0..self.asked.len()).collect();
+        // The same rays either way: none is mirrored.
         self.by_masks(&all, |receivers, outputs| {
             let (pattern, options) = (self.pattern, self.options);
-            coarse::answer_receivers(bvh, &far, pattern, receivers, options, best, outputs, progress)
+            match &far {
+                Some(far) => {
+                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, progress)
+                }
+                None => exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress),
+            }
         })
     }
 
