@@ -6,7 +6,7 @@ use crate::{
     MaskError, MaskOptions, Outputs, Pattern, Receiver,
     gather::{Answers, Gathered, Wanted},
 };
-use umbrage_geom::{Progress, morton, sampling::combine};
+use umbrage_geom::{Progress, morton};
 
 /// Receivers that a thread takes at a time, neighbours in Morton order.
 const BLOCK: usize = 64;
@@ -68,7 +68,7 @@ pub(crate) fn run<E: Engine>(
     Ok(())
 }
 
-/// Checked receivers; `i` has the seed `combine(seed, i)`.
+/// Checked receivers, each with the seed of its point and normal.
 ///
 /// # Errors
 /// [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`].
@@ -82,5 +82,8 @@ pub(crate) fn receivers(
         return Err(MaskError::Length { what: "normals", actual, expected, points: expected });
     }
     let pairs = points.iter().zip(normals).enumerate();
-    pairs.map(|(i, (&point, &normal))| Receiver::new(i, point, normal, combine(seed, i as u32))).collect()
+    let receiver = |(i, (&point, &normal)): (usize, (&[f32; 3], &[f32; 3]))| {
+        Receiver::new(i, point, normal, Receiver::seed_of(point, normal, seed))
+    };
+    pairs.map(receiver).collect()
 }

@@ -8,9 +8,22 @@ use umbrage_geom::FalloffError;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MaskError {
-    /// The number of rays is not a multiple of 32 between 32 and 1024.
-    #[error("{0} rays: a pattern has 32 to 1024, a multiple of 32")]
-    Rays(u32),
+    /// The number of rays can't be had.
+    #[error("{rays} rays: expected a multiple of {multiple} up to {most}")]
+    Rays {
+        /// How many were asked for.
+        rays: u32,
+        /// Largest possible number.
+        most: u32,
+        /// What the number has to be a multiple of.
+        multiple: u32,
+    },
+    /// The number of members is not a power of two, or they differ in their number of directions.
+    #[error("{0} sets of directions: expected a power of two, all of the same size")]
+    Members(usize),
+    /// A table belongs to one set of directions, not to a family.
+    #[error("tables need a pattern with one member, this one has {0}: see PatternOptions::with_points")]
+    Family(usize),
     /// A jitter is NaN or out of range.
     #[error("{what} is {value}, expected 0 to {limit}")]
     Jitter {

@@ -114,7 +114,7 @@ impl Wanted {
         };
         let (rays, around) = (pattern.frame_of(receiver), Frame::from_normal(receiver.normal()));
         let mut sums = vec![(0.0, 0u32); self.sectors.len()];
-        for (i, &direction) in pattern.directions().iter().enumerate() {
+        for (i, &direction) in pattern.directions(pattern.member_of(receiver)).iter().enumerate() {
             let direction = rays.world_from_local(direction);
             let angle = pseudo_angle(direction.dot(around.tangent), direction.dot(around.bitangent));
             let (sum, count) = &mut sums[self.sectors.partition_point(|&end| end <= angle)];
@@ -187,7 +187,8 @@ impl Passed<'_> {
 
     /// Mean over all rays of the direction times what passes.
     fn free_direction(self, pattern: &Pattern, receiver: &Receiver) -> Vec3 {
-        let sum: Vec3 = pattern.directions().iter().enumerate().map(|(i, &d)| d * self.of(i)).sum();
+        let directions = pattern.directions(pattern.member_of(receiver));
+        let sum: Vec3 = directions.iter().enumerate().map(|(i, &d)| d * self.of(i)).sum();
         pattern.frame_of(receiver).world_from_local(sum / pattern.len() as f32)
     }
 }

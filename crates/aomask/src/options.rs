@@ -23,7 +23,8 @@ pub struct MaskOptions {
     pub radius: f32,
     /// Which sides of triangles block.
     pub sides: Sides,
-    /// Seed of the jitter: receiver `i` of a slice has the seed `combine(seed, i)` ([`umbrage_geom::sampling::combine`]).
+    /// Seed of the rays: a receiver of a slice has the seed [`Receiver::seed_of`](crate::Receiver::seed_of) of its point and normal
+    /// with this one.
     pub seed: u32,
 }
 
@@ -63,8 +64,10 @@ impl MaskOptions {
     /// Checks the radius against the lengths of `pattern`.
     ///
     /// # Errors
-    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`].
+    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`]; [`MaskError::Rays`] if masks can't have as many rays as
+    /// `pattern`.
     pub fn validate(&self, pattern: &Pattern) -> Result<(), MaskError> {
+        pattern.check_masks()?;
         if self.radius.is_nan() || self.radius <= 0.0 {
             return Err(MaskError::Radius(self.radius));
         }

@@ -1,7 +1,7 @@
 //! A point that asks for its ambient occlusion.
 
 use crate::MaskError;
-use umbrage_geom::{glam::Vec3, mesh::MAX_COORDINATE};
+use umbrage_geom::{glam::Vec3, mesh::MAX_COORDINATE, sampling::combine};
 
 /// A point with a normal, checked.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,6 +9,7 @@ pub struct Receiver {
     point: Vec3,
     normal: Vec3,
     seed: u32,
+    sample: u32,
 }
 
 impl Receiver {
@@ -28,7 +29,7 @@ impl Receiver {
             return Err(MaskError::Normal { index, normal });
         }
         // In f64 no finite length overflows or vanishes.
-        Ok(Self { point: point.into(), normal: n.as_dvec3().normalize().as_vec3(), seed })
+        Ok(Self { point: point.into(), normal: n.as_dvec3().normalize().as_vec3(), seed, sample: 0 })
     }
 
     /// Where rays start, world units.
@@ -43,7 +44,33 @@ impl Receiver {
         self.normal
     }
 
-    /// What chooses the jitter.
+    /// One of several samples of the same receiver, 0 unless said otherwise: members and turns of successive samples are spread
+    /// evenly, so that the mean over samples has less error than that of unrelated seeds.
+    #[must_use]
+    pub fn with_sample(self, sample: u32) -> Self {
+        Self { sample, ..self }
+    }
+
+    /// The same point and normal under another seed.
+    #[must_use]
+    pub fn with_seed(self, seed: u32) -> Self {
+        Self { seed, ..self }
+    }
+
+    /// Number of the sample.
+    #[inline]
+    pub fn sample(&self) -> u32 {
+        self.sample
+    }
+
+    /// A seed for a point with a normal: the same place with the same normal has the same seed, whatever its index, so that
+    /// duplicated vertices get the same rays. `seed` makes all of them different.
+    pub fn seed_of(point: [f32; 3], normal: [f32; 3], seed: u32) -> u32 {
+        // Adding 0 makes both zeros one.
+        point.iter().chain(&normal).fold(seed, |seed, x| combine(seed, (x + 0.0).to_bits()))
+    }
+
+    /// What chooses the member and the turn of the pattern.
     #[inline]
     pub fn seed(&self) -> u32 {
         self.seed

@@ -1,80 +1,93 @@
-//! As many rays as the error asks for.
+//! As many rays as the error asks for, measured against the reference.
 
 mod common;
 
-use common::{Scene, pattern, receivers, scene, soup};
+use common::{Points, Scene, receivers, scene, soup};
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, PatternOptions,
-    exact::{self, adaptive::Adaptive},
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
+    exact::{
+        self,
+        adaptive::{Adaptive, Spent},
+    },
 };
-use umbrage_geom::Falloff;
+use umbrage_geom::{Falloff, OpticalDepth};
+use umbrage_testkit::Question;
 
-/// Mean over several patterns of many rays.
-fn truth(scene: &Scene, points: &common::Points, options: &MaskOptions) -> Vec<f64> {
-    let mut sums = vec![0.0; points.0.len()];
-    for seed in 0..4 {
-        let many = PatternOptions::default().with_rays(1024).with_seed(seed);
-        let pattern = umbrage_aomask::Pattern::new(&many).unwrap();
-        let mut ao = vec![0.0; sums.len()];
-        let outputs = Outputs::new(&mut ao);
-        exact::answer(
-            &scene.bvh,
-            &pattern,
-            &points.0,
-            &points.1,
-            &options.with_seed(seed),
-            BackEnd::best(),
-            outputs,
-            &mut |_| true,
-        )
-        .unwrap();
-        sums.iter_mut().zip(ao).for_each(|(sum, ao)| *sum += f64::from(ao) / 4.0);
-    }
-    sums
+fn asked((points, normals): &Points) -> Vec<Receiver> {
+    let receiver = |(i, (&p, &n)): (usize, (&[f32; 3], &[f32; 3]))| {
+        Receiver::new(i, p, n, Receiver::seed_of(p, n, 99)).unwrap()
+    };
+    points.iter().zip(normals).enumerate().map(receiver).collect()
 }
 
-fn radius(scene: &Scene) -> f32 {
-    0.1 * scene.mesh.bounds().diagonal()
-}
-
-fn options_of(seed: u32, radius: f32) -> MaskOptions {
-    MaskOptions::default().with_radius(radius).with_seed(seed)
+/// `ao` of all receivers and what it took.
+fn answer(
+    scene: &Scene,
+    receivers: &[Receiver],
+    radius: f32,
+    target: f32,
+    depth: Option<OpticalDepth>,
+) -> (Vec<f32>, Spent) {
+    let adaptive = Adaptive::new(&PatternOptions::default().with_rays(1024)).unwrap();
+    let options = MaskOptions::default().with_radius(radius);
+    let mut ao = vec![0.0; receivers.len()];
+    let mut ask = |pattern: &Pattern,
+                   receivers: &[Receiver],
+                   outputs: Outputs<'_>,
+                   progress: &mut (dyn FnMut(f32) -> bool + Send)| {
+        let (bvh, best) = (&scene.bvh, BackEnd::best());
+        match depth {
+            None => exact::answer_receivers(bvh, pattern, receivers, &options, best, outputs, progress),
+            Some(depth) => {
+                exact::transmit(bvh, |_| depth, pattern, receivers, &options, best, outputs, progress)
+            }
+        }
+    };
+    let spent = adaptive.answer(receivers, target, &mut ask, Outputs::new(&mut ao), &mut |_| true).unwrap();
+    (ao, spent)
 }
 
 #[test]
-fn the_target_is_met_with_fewer_rays_than_everywhere() {
-    for (name, triangles) in [("bush", 6_000), ("city", 20_000), ("hairball", 6_000)] {
+fn targets_are_met_and_not_by_far() {
+    for (name, triangles, share, opacity) in [
+        ("bush", 6_000, 0.1, None),
+        ("city", 20_000, 0.1, None),
+        ("hairball", 6_000, f32::INFINITY, None),
+        ("bush", 6_000, f32::INFINITY, Some(0.4)),
+    ] {
         let scene = scene(name, triangles);
-        let points = receivers(&scene.mesh, 300, 7);
-        let options = options_of(99, radius(&scene));
-        let truth = truth(&scene, &points, &options);
-        let adaptive = Adaptive::new(&PatternOptions::default().with_rays(1024)).unwrap();
+        let points = receivers(&scene.mesh, 1500, 7);
+        let radius = share * scene.mesh.bounds().diagonal();
+        let depth = opacity.map(OpticalDepth::from_opacity);
+        let depths = depth.map_or(Vec::new(), |depth| vec![depth; scene.mesh.triangles.len()]);
+        let question = Question {
+            mesh: &scene.mesh,
+            depths: &depths,
+            points: &points.0,
+            normals: &points.1,
+            radius,
+            falloff: &Falloff::Constant,
+        };
+        let reference = question.answer(3000, 1).unwrap();
+        let receivers = asked(&points);
         let mut last = 0;
-        for target in [0.04, 0.02, 0.01] {
-            let (mut ao, mut used) = (vec![0.0; 300], vec![0; 300]);
-            let outputs = Outputs::new(&mut ao);
-            adaptive
-                .answer(
-                    &scene.bvh,
-                    &points.0,
-                    &points.1,
-                    &options,
-                    target,
-                    BackEnd::best(),
-                    outputs,
-                    &mut used,
-                    &mut |_| true,
-                )
-                .unwrap();
-            let rms = |values: &[f32]| {
-                let squares = values.iter().zip(&truth).map(|(&a, b)| (f64::from(a) - b).powi(2));
-                (squares.sum::<f64>() / 300.0).sqrt()
-            };
-            let total: u32 = used.iter().sum();
-            println!("{name} {target}: rms {:.4}, {} rays on average", rms(&ao), total / 300);
-            assert!(rms(&ao) < 1.2 * f64::from(target), "{name} {target}: {}", rms(&ao));
-            assert!(total > last && total < 300 * 1024);
-            last = total;
+        for target in [0.04, 0.02] {
+            let (ao, spent) = answer(&scene, &receivers, radius, target, depth);
+            let rmse = reference.rmse(ao.iter().map(|&x| f64::from(x)));
+            let bias = reference.bias(ao.iter().map(|&x| f64::from(x)));
+            let per_receiver = spent.rays / 1500;
+            println!(
+                "{name} {share} {opacity:?} {target}: rmse {rmse:.4}, bias {bias:+.4}, {spent:?}, {per_receiver}"
+            );
+            let target = f64::from(target);
+            assert!(rmse < target && rmse > 0.55 * target, "{name} {target}: {rmse}");
+            assert!((spent.estimated_error / rmse - 1.0).abs() < 0.4, "{}", spent.estimated_error);
+            // 1500 independent errors.
+            let limit = 4.0 * target / 1500f64.sqrt() + 3.0 * reference.standard_error_of_mean();
+            assert!(bias.abs() < limit, "{name} {target}: {bias}");
+            assert!(spent.rays > last && spent.rays < 1500 * 1024);
+            assert_eq!(spent.receivers.iter().map(|r| r.1).sum::<u64>(), 1500);
+            last = spent.rays;
         }
     }
 }
@@ -82,52 +95,43 @@ fn the_target_is_met_with_fewer_rays_than_everywhere() {
 #[test]
 fn settings_are_checked_and_sizes_may_be_odd() {
     let scene = soup(&[[[-1.0, 1.0, -1.0], [1.0, 1.0, -1.0], [0.0, 1.0, 2.0]]]);
-    for rays in [32, 96, 1024] {
+    let receivers = asked(&(vec![[0.0; 3], [50.0, 0.0, 0.0]], vec![[0.0, 1.0, 0.0]; 2]));
+    for rays in [8, 32, 96, 1024] {
         let adaptive = Adaptive::new(&PatternOptions::default().with_rays(rays)).unwrap();
-        let (points, normals) = ([[0.0; 3], [50.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]; 2]);
-        let call = |target, outputs: Outputs<'_>, used: &mut [u32], go_on: bool| {
-            let options = MaskOptions::default();
-            adaptive.answer(
-                &scene.bvh,
-                &points,
-                &normals,
-                &options,
-                target,
-                BackEnd::best(),
-                outputs,
-                used,
-                &mut |_| go_on,
-            )
+        let call = |target, outputs: Outputs<'_>, go_on: bool| {
+            let mut ask = |pattern: &Pattern,
+                           receivers: &[Receiver],
+                           outputs: Outputs<'_>,
+                           progress: &mut (dyn FnMut(f32) -> bool + Send)| {
+                let options = MaskOptions::default();
+                let best = BackEnd::best();
+                exact::answer_receivers(&scene.bvh, pattern, receivers, &options, best, outputs, progress)
+            };
+            let mut fractions = Vec::new();
+            let spent = adaptive.answer(&receivers, target, &mut ask, outputs, &mut |fraction| {
+                fractions.push(fraction);
+                go_on
+            });
+            assert!(fractions.is_sorted() && (spent.is_err() || fractions.last() == Some(&1.0)));
+            spent
         };
-        let (mut ao, mut used, mut bent, mut sectors) = ([-1.0; 2], [0; 2], [[0.0; 3]; 2], [0.0; 6]);
+        let (mut ao, mut bent, mut sectors) = ([-1.0; 2], [[0.0; 3]; 2], [0.0; 6]);
         let outputs = Outputs::new(&mut ao).with_bent_normals(&mut bent).with_sectors(3, &mut sectors);
-        call(1e-9, outputs, &mut used, true).unwrap();
-        assert_eq!(used, [rays; 2]);
+        let spent = call(1e-9, outputs, true).unwrap();
+        assert_eq!(spent.receivers.last().unwrap().0, rays, "{spent:?}");
         assert!(ao[0] < 0.8 && ao[1] == 1.0 && sectors.iter().all(|s| (0.0..=1.0).contains(s)));
-        let mut plain = [0.0; 2];
-        let pattern = pattern(rays, Falloff::Constant);
-        exact::answer(
-            &scene.bvh,
-            &pattern,
-            &points,
-            &normals,
-            &MaskOptions::default(),
-            BackEnd::best(),
-            Outputs::new(&mut plain),
-            &mut |_| true,
-        )
-        .unwrap();
-        assert_eq!(ao, plain);
         let before = ao;
         for target in [0.0, -1.0, f32::NAN] {
-            let refused = call(target, Outputs::new(&mut ao), &mut used, true);
+            let refused = call(target, Outputs::new(&mut ao), true);
             assert!(matches!(refused, Err(MaskError::TargetError(_))));
         }
-        assert_eq!(call(0.1, Outputs::new(&mut ao), &mut used, false), Err(MaskError::Cancelled));
-        let masks = call(0.1, Outputs::new(&mut ao).with_masks(&mut [0; 2]), &mut used, true);
+        assert_eq!(call(0.1, Outputs::new(&mut ao), false), Err(MaskError::Cancelled));
+        let masks = call(0.1, Outputs::new(&mut ao).with_masks(&mut [0; 2]), true);
         assert!(matches!(masks, Err(MaskError::Unsupported(_))));
-        let short = call(0.1, Outputs::new(&mut ao), &mut used[..1], true);
-        assert!(matches!(short, Err(MaskError::Length { what: "used", .. })));
         assert_eq!(ao, before);
+    }
+    for rays in [4, 100, 2048] {
+        let refused = Adaptive::new(&PatternOptions::default().with_rays(rays));
+        assert!(matches!(refused, Err(MaskError::Rays { .. })));
     }
 }

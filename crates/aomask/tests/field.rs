@@ -14,7 +14,7 @@ use umbrage_aomask::{
 use umbrage_geom::{
     Aabb, Falloff,
     glam::Vec3,
-    sampling::{RandomStream, combine, uniform_sphere},
+    sampling::{RandomStream, uniform_sphere},
 };
 
 fn field(scene: &Scene, cells: u32) -> OpacityField {
@@ -126,7 +126,7 @@ fn occlusion_of_foliage_is_close_to_exact_masks() {
         .iter()
         .zip(&points.1)
         .enumerate()
-        .map(|(i, (&p, &n))| Receiver::new(i, p, n, combine(0, i as u32)).unwrap())
+        .map(|(i, (&p, &n))| Receiver::new(i, p, n, Receiver::seed_of(p, n, 0)).unwrap())
         .collect();
     let (mut truth, mut ao, best) = ([0.0; 64], [0.0; 64], BackEnd::best());
     let outputs = Outputs::new(&mut truth);

@@ -10,11 +10,12 @@ use umbrage_aomask::{
 use umbrage_geom::{
     Falloff, Frame, OpticalDepth,
     glam::{Mat3, Vec3},
-    sampling::combine,
 };
 
 fn seeded((points, normals): &Points, options: &MaskOptions) -> Vec<Receiver> {
-    let receiver = |i: usize| Receiver::new(i, points[i], normals[i], combine(options.seed, i as u32));
+    let receiver = |i: usize| {
+        Receiver::new(i, points[i], normals[i], Receiver::seed_of(points[i], normals[i], options.seed))
+    };
     (0..points.len()).map(|i| receiver(i).unwrap()).collect()
 }
 
@@ -367,9 +368,19 @@ fn degenerate_triangles_block_nothing_and_empty_scenes_are_refused() {
 
 #[test]
 fn bad_patterns_and_receivers_are_named() {
-    for rays in [0, 31, 33, 1056] {
+    for rays in [0, Pattern::MAX_RAYS + 1] {
         let refused = Pattern::new(&PatternOptions::default().with_rays(rays));
-        assert!(matches!(refused, Err(MaskError::Rays(n)) if n == rays));
+        assert!(matches!(refused, Err(MaskError::Rays { rays: n, .. }) if n == rays));
+    }
+    // Patterns that masks can't have.
+    for rays in [1, 31, 33, 1032] {
+        let pattern = Pattern::new(&PatternOptions::default().with_rays(rays)).unwrap();
+        let (scene, options, best) = (cube(), MaskOptions::default(), BackEnd::best());
+        let mut ao = [-1.0];
+        let (outputs, up) = (Outputs::new(&mut ao), [[0.0, 0.0, 1.0]]);
+        let refused =
+            exact::answer(&scene.bvh, &pattern, &[[0.0; 3]], &up, &options, best, outputs, &mut |_| true);
+        assert!(matches!(refused, Err(MaskError::Rays { rays: n, .. }) if n == rays));
     }
     for table in [vec![0.5, 0.8], vec![1.0, f32::NAN, 0.0], vec![]] {
         let options = PatternOptions::default().with_falloff(Falloff::Table(table));

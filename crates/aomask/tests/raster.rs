@@ -90,8 +90,7 @@ fn references(
 }
 
 fn unjittered(rays: u32, falloff: Falloff) -> MaskTables {
-    let options =
-        umbrage_aomask::PatternOptions::default().with_rays(rays).with_falloff(falloff).with_jitter(0.0, 0.0);
+    let options = umbrage_aomask::PatternOptions::default().with_rays(rays).with_falloff(falloff).fixed();
     MaskTables::new(Pattern::new(&options).unwrap(), &TableOptions::default().with_resolutions(80, 128))
         .unwrap()
 }

@@ -36,7 +36,7 @@ fn errors_are_small_on_scenes() {
         let diagonal = scene.mesh.bounds().diagonal();
         // Where lengths differ, distances are relative to the longest.
         for (rays, falloff, limit) in [(128, Falloff::Constant, limit), (96, Falloff::Linear, 2.5 * limit)] {
-            let pattern = pattern(rays, falloff);
+            let pattern = table_pattern(rays, falloff);
             for node_masks in [NodeMasks::Circle, NodeMasks::Silhouette] {
                 let tables = tables(&pattern, TableOptions::default().with_node_masks(node_masks));
                 for radius in [0.02, 0.1] {
@@ -59,10 +59,17 @@ fn errors_are_small_on_scenes() {
 }
 
 #[test]
+fn families_have_no_tables() {
+    let family = pattern(64, Falloff::Constant);
+    let refused = MaskTables::new(family.clone(), &TableOptions::default());
+    assert!(matches!(refused, Err(MaskError::Family(n)) if n == family.members()));
+}
+
+#[test]
 fn finer_tables_err_less() {
     let scene = scene("cathedral", 30_000);
     let points = receivers(&scene.mesh, 200, 5);
-    let pattern = pattern(256, Falloff::Constant);
+    let pattern = table_pattern(256, Falloff::Constant);
     let options = MaskOptions::default().with_radius(0.05 * scene.mesh.bounds().diagonal());
     let exact = exact(&scene, &pattern, &points, &options);
     let error = |planes, edges| {
@@ -76,7 +83,7 @@ fn finer_tables_err_less() {
 #[test]
 fn one_sided_triangles_block_from_the_front_only() {
     let scene = scene("city", 20_000);
-    let pattern = pattern(64, Falloff::Constant);
+    let pattern = table_pattern(64, Falloff::Constant);
     let tables = tables(&pattern, TableOptions::default());
     // Receivers both outside and, looking the other way, inside of things.
     let (mut points, mut normals) = receivers(&scene.mesh, 60, 9);
@@ -101,7 +108,7 @@ fn back_ends_and_threads_give_the_same_bits() {
     let points = receivers(&scene.mesh, 130, 4);
     let options = MaskOptions::default().with_radius(0.2 * scene.mesh.bounds().diagonal()).with_seed(3);
     for rays in [32, 96, 192, 320, 1024] {
-        let pattern = pattern(rays, Falloff::Quadratic);
+        let pattern = table_pattern(rays, Falloff::Quadratic);
         let all: Vec<Vec<u64>> = BackEnd::ALL
             .into_iter()
             .filter(|b| b.is_supported())
@@ -127,7 +134,7 @@ fn back_ends_and_threads_give_the_same_bits() {
 #[test]
 fn convex_is_open_and_the_inside_is_closed() {
     let sphere = scene("sphere", 2000);
-    let pattern = pattern(128, Falloff::Constant);
+    let pattern = table_pattern(128, Falloff::Constant);
     let tables = tables(&pattern, TableOptions::default());
     let outside = receivers(&sphere.mesh, 100, 1);
     let open = masks(&tables, &sphere, &outside, &MaskOptions::default());
@@ -166,7 +173,7 @@ fn strange_receivers_radii_and_triangles_are_harmless() {
     ];
     let normals = vec![[0.0, 0.0, 1.0]; points.len()];
     for falloff in [Falloff::Constant, Falloff::Linear, Falloff::table(vec![0.5, 0.0]).unwrap()] {
-        let pattern = pattern(64, falloff);
+        let pattern = table_pattern(64, falloff);
         for node_masks in [NodeMasks::Circle, NodeMasks::Silhouette] {
             let options = TableOptions::default().with_resolutions(12, 12).with_node_masks(node_masks);
             let tables = tables(&pattern, options);
@@ -177,7 +184,7 @@ fn strange_receivers_radii_and_triangles_are_harmless() {
         }
     }
     // The huge triangle covers the sky at 1.5, which rays of length 3 mostly reach.
-    let pattern = pattern(128, Falloff::Constant);
+    let pattern = table_pattern(128, Falloff::Constant);
     let tables = tables(&pattern, TableOptions::default());
     let options = MaskOptions::default().with_radius(3.0);
     let one = (vec![[5.0, 5.0, 1e-3]], vec![[0.0, 0.0, 1.0]]);
@@ -192,7 +199,7 @@ fn strange_receivers_radii_and_triangles_are_harmless() {
 #[test]
 fn bad_input_is_named() {
     let scene = scene("sphere", 1000);
-    let tables = tables(&pattern(32, Falloff::Linear), TableOptions::default().with_resolutions(8, 8));
+    let tables = tables(&table_pattern(32, Falloff::Linear), TableOptions::default().with_resolutions(8, 8));
     let (points, normals) = receivers(&scene.mesh, 4, 1);
     let mut ao = vec![-1.0; 4];
     let mut call = |points: &[[f32; 3]], normals: &[[f32; 3]], radius: f32| {
@@ -218,7 +225,7 @@ fn bad_input_is_named() {
     };
     assert_eq!(cancelled, Err(MaskError::Cancelled));
     assert_eq!(ao, [-1.0; 4]);
-    let pattern = pattern(32, Falloff::Constant);
+    let pattern = table_pattern(32, Falloff::Constant);
     for (planes, edges) in [(7, 8), (257, 8), (8, 7), (8, 1025)] {
         let options = TableOptions::default().with_resolutions(planes, edges);
         let error = MaskTables::new(pattern.clone(), &options).unwrap_err();
@@ -242,8 +249,8 @@ fn lengths_by_falloff_agree_with_weighted_distances() {
     let radius = 0.2 * scene.mesh.bounds().diagonal();
     let options = MaskOptions::default().with_radius(radius);
     for falloff in [Falloff::Linear, Falloff::Quadratic, Falloff::Exponential] {
-        let cut = pattern(256, falloff.clone());
-        let whole = pattern(256, Falloff::Constant);
+        let cut = table_pattern(256, falloff.clone());
+        let whole = table_pattern(256, Falloff::Constant);
         let exact = exact(&scene, &cut, &points, &options);
         let (mut sampled, mut direct) = (0.0, 0.0);
         for i in 0..points.0.len() {
@@ -261,7 +268,7 @@ fn lengths_by_falloff_agree_with_weighted_distances() {
 fn rotating_the_scene_keeps_the_mean() {
     let scene = scene("city", 20_000);
     let points = receivers(&scene.mesh, 300, 8);
-    let pattern = pattern(128, Falloff::Constant);
+    let pattern = table_pattern(128, Falloff::Constant);
     let tables = tables(&pattern, TableOptions::default());
     let options = MaskOptions::default().with_radius(0.1 * scene.mesh.bounds().diagonal());
     let mean = |masks: &[u64]| {
@@ -295,7 +302,7 @@ fn more_triangles_and_longer_rays_block_no_less() {
     };
     let half = from_mesh(half);
     let points = receivers(&all.mesh, 100, 6);
-    let pattern = Pattern::new(&PatternOptions::default().with_rays(64)).unwrap();
+    let pattern = Pattern::new(&PatternOptions::default().with_rays(64).fixed()).unwrap();
     let tables = tables(&pattern, TableOptions::default());
     let diagonal = all.mesh.bounds().diagonal();
     let blocked = |scene: &Scene, radius: f32| {

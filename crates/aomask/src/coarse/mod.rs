@@ -80,7 +80,7 @@ pub fn answer_receivers(
     }
     outputs.validate_for_tables()?;
     let masks = Masks::new(bvh, pattern, options, near, back_end, &outputs)?;
-    let bundles = Bundles::new(pattern, options.radius, far.bundle());
+    let bundles = Bundles::new(pattern, far.bundle());
     drive::run(&Coarse { masks, far, bundles }, pattern, options, receivers, outputs, progress)
 }
 
@@ -88,26 +88,23 @@ pub fn answer_receivers(
 struct Bundles {
     /// Rays of each, a power of two.
     rays: usize,
-    /// By axis: unit vectors in the pattern's frame, by ray.
-    directions: [Vec<f32>; 3],
-    /// World units, by ray.
-    lengths: Vec<f32>,
-    /// Steradians, by bundle.
+    /// Bundles of a member.
+    count: usize,
+    /// Steradians, by member and bundle.
     solid_angles: Vec<f32>,
 }
 
 impl Bundles {
-    fn new(pattern: &Pattern, radius: f32, most: usize) -> Self {
+    fn new(pattern: &Pattern, most: usize) -> Self {
         let most = if pattern.has_equal_lengths() { most.clamp(1, 32) } else { 1 };
         // A power of two, of which a word of a mask holds a whole number; so does a pattern.
         let rays = 1 << most.ilog2();
-        let share = std::f32::consts::PI / pattern.len() as f32;
-        let angle = |run: &[Vec3]| run.iter().map(|d| share / d.z.max(1e-3)).sum();
+        let angle = |run: &[Vec3]| run.iter().map(|&d| pattern.solid_angle(d)).sum();
+        let of_member = |member| pattern.directions(member).chunks(rays).map(angle);
         Self {
             rays,
-            directions: [0, 1, 2].map(|axis| pattern.directions().iter().map(|d| d[axis]).collect()),
-            lengths: pattern.lengths().iter().map(|length| radius * length).collect(),
-            solid_angles: pattern.directions().chunks(rays).map(angle).collect(),
+            count: pattern.len() / rays,
+            solid_angles: (0..pattern.members()).flat_map(of_member).collect(),
         }
     }
 }
@@ -161,16 +158,18 @@ impl<F: FarField> Coarse<'_, F> {
     /// Collects the cones of bundles that have a ray which `mask` leaves open: each along one of these. Rays that end before
     /// the far field are answered.
     fn open(&self, receiver: &Receiver, mask: &[u64], out: &mut [f32], scratch: &mut Scratch) {
-        let Self { masks: Masks { pattern, .. }, bundles, far } = self;
+        let Self { masks: Masks { pattern, options, .. }, bundles, far } = self;
+        let member = pattern.member_of(receiver);
+        let (directions, lengths) = (pattern.directions(member), pattern.lengths(member));
         let Scratch { cones, which, chosen, passed, .. } = scratch;
         let (n, near) = (bundles.rays, far.near());
         let all = u64::MAX >> (64 - n);
         which.clear();
         chosen.clear();
-        for bundle in 0..bundles.solid_angles.len() {
+        for bundle in 0..bundles.count {
             let first = bundle * n;
             let open = !mask[first / 64] >> (first % 64) & all;
-            if open != 0 && bundles.lengths[first] <= near {
+            if open != 0 && options.radius * lengths[first] <= near {
                 (0..n).filter(|i| open >> i & 1 == 1).for_each(|i| out[first + i] = 1.0);
             } else if open != 0 {
                 // The first one from a place that changes.
@@ -181,17 +180,19 @@ impl<F: FarField> Coarse<'_, F> {
             }
         }
         let frame = pattern.frame_of(receiver);
-        let [x, y, z] = &bundles.directions;
         for (axis, row) in cones.directions.iter_mut().enumerate() {
             let (t, b, n) = (frame.tangent[axis], frame.bitangent[axis], frame.normal[axis]);
             row.clear();
-            row.extend(chosen.iter().map(|&i| (t * x[i] + b * y[i]) + n * z[i]));
+            row.extend(chosen.iter().map(|&i| {
+                let d = directions[i];
+                (t * d.x + b * d.y) + n * d.z
+            }));
         }
         cones.origin = receiver.point();
         cones.lengths.clear();
-        cones.lengths.extend(chosen.iter().map(|&i| bundles.lengths[i]));
+        cones.lengths.extend(chosen.iter().map(|&i| options.radius * lengths[i]));
         cones.solid_angles.clear();
-        cones.solid_angles.extend(which.iter().map(|&i| bundles.solid_angles[i]));
+        cones.solid_angles.extend(which.iter().map(|&i| bundles.solid_angles[member * bundles.count + i]));
         passed.clear();
         passed.resize(which.len(), 1.0);
     }

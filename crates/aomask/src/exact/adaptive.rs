@@ -1,124 +1,122 @@
-//! Few rays where they are enough: every receiver gets as many as its estimated error asks for.
+//! As many rays as a target error asks for.
 //!
-//! A pattern has one ray in each of equal shares of the disc. Shares that are open or blocked as a whole add no error, those
-//! that an outline crosses do: the error of `ao` is about `sqrt(outline * VARIANCE) / rays`, where `outline` counts the rays
-//! with a neighbour of the other kind. Receivers pool what they count with their neighbours, so that occluders which a few
-//! rays miss are still seen by some of them.
+//! Nothing is taken on trust: the error of a number of rays is *measured*, on pilot receivers, as half the mean squared difference
+//! of two independent answers. All receivers are put into classes by how much two cheap answers of their neighbourhood differ; the
+//! numbers of rays of the classes are those with which the root mean square error over all receivers is expected to be
+//! [`AIM`] times the target in the least rays. The rays that choose a class are not used again, so that the choice brings no bias.
 
-use super::answer_receivers;
-use crate::{BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, drive};
-use umbrage_accel::Bvh;
-use umbrage_geom::morton;
+use crate::{MaskError, Outputs, Pattern, PatternOptions, Receiver};
+use umbrage_geom::{morton, sampling::combine};
 
-/// Variance of one ray whose share of the disc an outline crosses, as measured (`docs/aomask-exact.md`).
-const VARIANCE: f32 = 0.07;
+/// Share of the target that the expected error is to have: what is left is for the error of the estimate.
+const AIM: f64 = 0.8;
 
-/// Outline that even a receiver without any is taken to have.
-const LEAST_OUTLINE: f32 = 0.25;
+/// Numbers of rays to choose from.
+const LEVELS: [u32; 15] = [8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 640, 768, 1024];
 
-/// Receivers that pool their outlines.
-const POOL: usize = 16;
+/// Levels whose error is measured; those between are interpolated in logarithms.
+const MEASURED: [usize; 5] = [0, 3, 7, 11, 14];
 
-/// Neighbours of a ray: as many as a share of the disc has sides, on average.
-const NEIGHBOURS: usize = 6;
+/// Neighbours, in Morton order, that share a class.
+const POOL: usize = 8;
+
+/// Pilot receivers: one in so many, within the bounds below.
+const PILOT_STRIDE: usize = 16;
+const FEWEST_PILOTS: usize = 512;
+const MOST_PILOTS: usize = 2048;
+
+/// Classes of neighbourhoods whose cheap answers differ, beside the one where they don't.
+const CLASSES: usize = 5;
+
+/// Where measured errors may stop: below this share of the squared error to reach.
+const ENOUGH: f64 = 0.3;
+
+/// Seeds of the answers that choose classes, and of those that measure errors.
+const SALTS: [u32; 4] = [0x636c_6131, 0x636c_6132, 0x6572_7231, 0x6572_7232];
+
+/// Answers receivers by the rays of a pattern: a method without its numbers of rays.
+pub type Ask<'a> = dyn FnMut(&Pattern, &[Receiver], Outputs<'_>, &mut (dyn FnMut(f32) -> bool + Send)) -> Result<(), MaskError>
+    + 'a;
 
 /// Patterns of growing numbers of rays, for receivers that need different ones.
 #[derive(Clone, Debug)]
 pub struct Adaptive {
-    levels: Vec<Level>,
+    levels: Vec<Pattern>,
 }
 
-#[derive(Clone, Debug)]
-struct Level {
-    pattern: Pattern,
-    /// Nearest directions of each ray.
-    neighbours: Vec<[u16; NEIGHBOURS]>,
+/// What a target error took.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Spent {
+    /// All rays cast: for answers, to choose classes, and by pilot receivers.
+    pub rays: u64,
+    /// Numbers of rays and how many receivers were answered by so many, growing.
+    pub receivers: Vec<(u32, u64)>,
+    /// Expected root mean square error of `ao` over all receivers.
+    pub estimated_error: f64,
 }
 
-impl Level {
-    fn new(pattern: Pattern) -> Self {
-        let directions = pattern.directions();
-        let nearest = |i: usize| {
-            let mut others: Vec<u16> =
-                (0..directions.len() as u16).filter(|&k| usize::from(k) != i).collect();
-            let distance =
-                |k: &u16| directions[i].truncate().distance_squared(directions[usize::from(*k)].truncate());
-            others.select_nth_unstable_by(NEIGHBOURS, |a, b| distance(a).total_cmp(&distance(b)));
-            let mut nearest = [0; NEIGHBOURS];
-            nearest.copy_from_slice(&others[..NEIGHBOURS]);
-            nearest
-        };
-        Self { neighbours: (0..directions.len()).map(nearest).collect(), pattern }
+/// How many rays receivers of each class get.
+#[derive(Clone, Debug, PartialEq)]
+struct Plan {
+    /// Smallest squared difference of each class but the first.
+    bounds: Vec<f64>,
+    /// By class.
+    levels: Vec<usize>,
+    /// Expected squared error.
+    squared_error: f64,
+}
+
+impl Plan {
+    fn class(&self, difference: f64) -> usize {
+        self.bounds.partition_point(|&bound| bound <= difference)
     }
 
-    /// Rays with a neighbour of the other kind.
-    fn outline(&self, mask: &[u64]) -> f32 {
-        let bit = |i: usize| mask[i / 64] >> (i % 64) & 1;
-        let mixed = |&(i, near): &(usize, &[u16; NEIGHBOURS])| near.iter().any(|&k| bit(k.into()) != bit(i));
-        self.neighbours.iter().enumerate().filter(mixed).count() as f32
+    fn is_uniform(&self) -> bool {
+        self.levels.iter().all(|&level| level == self.levels[0])
     }
+}
 
-    /// Standard error of `ao` for an outline.
-    fn error(&self, outline: f32) -> f32 {
-        ((outline + LEAST_OUTLINE) * VARIANCE).sqrt() / self.pattern.len() as f32
-    }
+/// A call on its way.
+struct Run<'a, 'b> {
+    adaptive: &'a Adaptive,
+    receivers: &'a [Receiver],
+    ask: &'a mut Ask<'b>,
+    /// Told the number of rays that have been cast so far.
+    progress: &'a mut (dyn FnMut(f32) -> bool + Send),
+    spent: Spent,
 }
 
 impl Adaptive {
-    /// Patterns as `options` have it, of 32 rays and more up to [`PatternOptions::rays`]; takes tens of milliseconds.
+    /// Patterns as `options` have it, of 8 rays and more up to [`PatternOptions::rays`] (a multiple of 8 up to
+    /// [`Pattern::MAX_MASK_RAYS`]); takes about 20 milliseconds.
     ///
     /// # Errors
-    /// As for [`Pattern::new`].
+    /// As for [`Pattern::new`]; [`MaskError::Rays`].
     pub fn new(options: &PatternOptions) -> Result<Self, MaskError> {
         let most = Pattern::new(options)?;
-        let mut levels = Vec::new();
-        for rays in (5..10).map(|bits| 1 << bits).take_while(|&rays| rays < options.rays) {
-            levels.push(Level::new(Pattern::new(&options.clone().with_rays(rays))?));
-        }
-        levels.push(Level::new(most));
+        most.check_masks()?;
+        let fewer = LEVELS.into_iter().filter(|&rays| rays < options.rays);
+        let mut levels = fewer
+            .map(|rays| Pattern::new(&options.clone().with_rays(rays)))
+            .collect::<Result<Vec<_>, _>>()?;
+        levels.push(most);
         Ok(Self { levels })
     }
 
-    /// Like [`super::answer`], with as many rays for each receiver as it takes until the estimated standard error of its `ao`
-    /// is at most `target_error`, or there are no more. `used`, one for each receiver, gets their number. Bits are exact; how
-    /// many there are depends on the receivers around.
+    /// Answers `receivers` by `ask`, with as many rays for each as it takes until the expected root mean square error of `ao`
+    /// over all of them is 0.8 of `target_error`, or there are no more. Where eight rays are enough, the error is smaller.
     ///
     /// # Errors
-    /// As for [`super::answer`]; [`MaskError::TargetError`] unless `target_error` is more than 0;
-    /// [`MaskError::Unsupported`] if masks are asked for, which would have different lengths.
-    #[allow(clippy::too_many_arguments)] // what there is to say
+    /// Those of `ask`; [`MaskError::TargetError`] unless `target_error` is more than 0; [`MaskError::Unsupported`] if masks are
+    /// asked for, which would have different lengths. The outputs are as they were then.
     pub fn answer(
         &self,
-        bvh: &Bvh,
-        points: &[[f32; 3]],
-        normals: &[[f32; 3]],
-        options: &MaskOptions,
-        target_error: f32,
-        back_end: BackEnd,
-        outputs: Outputs<'_>,
-        used: &mut [u32],
-        progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(), MaskError> {
-        let receivers = drive::receivers(points, normals, options.seed)?;
-        self.answer_receivers(bvh, &receivers, options, target_error, back_end, outputs, used, progress)
-    }
-
-    /// [`Self::answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
-    ///
-    /// # Errors
-    /// As for [`Self::answer`], but for points and normals.
-    #[allow(clippy::too_many_arguments)] // what there is to say
-    pub fn answer_receivers(
-        &self,
-        bvh: &Bvh,
         receivers: &[Receiver],
-        options: &MaskOptions,
         target_error: f32,
-        back_end: BackEnd,
+        ask: &mut Ask<'_>,
         mut outputs: Outputs<'_>,
-        used: &mut [u32],
         progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(), MaskError> {
+    ) -> Result<Spent, MaskError> {
         // NaN is refused too.
         if target_error.is_nan() || target_error <= 0.0 {
             return Err(MaskError::TargetError(target_error));
@@ -127,83 +125,210 @@ impl Adaptive {
             return Err(MaskError::Unsupported("masks of different lengths"));
         }
         outputs.validate(receivers.len(), 0)?;
-        if used.len() != receivers.len() {
-            let (actual, points) = (used.len(), receivers.len());
-            return Err(MaskError::Length { what: "used", actual, expected: points, points });
-        }
         let places: Vec<[f32; 3]> = receivers.iter().map(|receiver| receiver.point().to_array()).collect();
-        // By level: receivers to answer, in Morton order.
-        let mut waiting = vec![Vec::new(); self.levels.len()];
-        waiting[0] = morton::order(&places);
-        let mut found = Room::new(&outputs, receivers.len(), 0);
-        let mut rays = vec![0; receivers.len()];
-        for (number, level) in self.levels.iter().enumerate() {
-            let order = std::mem::take(&mut waiting[number]);
-            let asked: Vec<Receiver> = order.iter().map(|&i| receivers[i as usize]).collect();
-            let mut room = Room::new(&outputs, asked.len(), level.pattern.words());
-            let (from, share) = (number as f32 / self.levels.len() as f32, 1.0 / self.levels.len() as f32);
-            let last = number + 1 == self.levels.len();
-            let mut part =
-                |fraction: f32| progress(if last && fraction == 1.0 { 1.0 } else { from + fraction * share });
-            answer_receivers(bvh, &level.pattern, &asked, options, back_end, room.outputs(), &mut part)?;
-            let outlines: Vec<f32> =
-                room.masks.chunks(level.pattern.words()).map(|mask| level.outline(mask)).collect();
-            for (pool, (at, order)) in outlines.chunks(POOL).zip((0..).step_by(POOL).zip(order.chunks(POOL)))
-            {
-                let mean = pool.iter().sum::<f32>() / pool.len() as f32;
-                for (i, (&outline, &receiver)) in pool.iter().zip(order).enumerate() {
-                    let receiver = receiver as usize;
-                    found.take(receiver, &room, at + i);
-                    rays[receiver] = level.pattern.len() as u32;
-                    if let Some(next) = self.next(number, outline.max(mean), target_error) {
-                        waiting[next].push(receiver as u32);
-                    }
-                }
+        let order: Vec<usize> = morton::order(&places).into_iter().map(|i| i as usize).collect();
+        let mut run = Run { adaptive: self, receivers, ask, progress, spent: Spent::default() };
+        let wanted = (AIM * f64::from(target_error)).powi(2);
+        let plan = run.plan(&order, wanted)?;
+        let levels = run.levels(&order, &plan)?;
+        let mut found = Room::new(&outputs, receivers.len());
+        let total: u64 = levels.iter().map(|&level| self.levels[level].len() as u64).sum();
+        let (mut done, before) = (0, if plan.is_uniform() { 0.1 } else { 0.3 });
+        for (number, pattern) in self.levels.iter().enumerate() {
+            let mine: Vec<usize> = order.iter().copied().filter(|&i| levels[i] == number).collect();
+            if mine.is_empty() {
+                continue;
             }
-            // Pools are of neighbours.
-            if let Some(next) = waiting.get_mut(number + 1) {
-                let points: Vec<[f32; 3]> = next.iter().map(|&i| places[i as usize]).collect();
-                *next = morton::order(&points).iter().map(|&k| next[k as usize]).collect();
-            }
+            let asked: Vec<Receiver> = mine.iter().map(|&i| receivers[i]).collect();
+            let rays = (mine.len() * pattern.len()) as u64;
+            let (from, share) = (done as f32 / total as f32, rays as f32 / total as f32);
+            let last = done + rays == total;
+            let Run { ask, progress, .. } = &mut run;
+            let mut part = |fraction: f32| {
+                let all = before + (1.0 - before) * (from + fraction * share);
+                progress(if last && fraction == 1.0 { 1.0 } else { all.min(1.0f32.next_down()) })
+            };
+            let mut room = Room::new(&outputs, asked.len());
+            ask(pattern, &asked, room.outputs(), &mut part)?;
+            mine.iter().enumerate().for_each(|(from, &to)| found.take(to, &room, from));
+            run.spent.receivers.push((pattern.len() as u32, mine.len() as u64));
+            done += rays;
         }
-        used.copy_from_slice(&rays);
+        if receivers.is_empty() && !(run.progress)(1.0) {
+            return Err(MaskError::Cancelled);
+        }
         found.write(&mut outputs);
-        Ok(())
+        run.spent.rays += total;
+        run.spent.estimated_error = plan.squared_error.sqrt();
+        Ok(run.spent)
+    }
+}
+
+impl Run<'_, '_> {
+    /// `ao` of the receivers `which` by the rays of a level, under seeds of their own.
+    fn ao(&mut self, which: &[usize], level: usize, salt: u32) -> Result<Vec<f32>, MaskError> {
+        let receivers = self.receivers;
+        let asked = which.iter().map(|&i| receivers[i].with_seed(combine(receivers[i].seed(), salt)));
+        let asked: Vec<Receiver> = asked.collect();
+        let mut ao = vec![0.0; asked.len()];
+        let progress = &mut self.progress;
+        (self.ask)(&self.adaptive.levels[level], &asked, Outputs::new(&mut ao), &mut |_| progress(0.0))?;
+        self.spent.rays += (asked.len() * self.adaptive.levels[level].len()) as u64;
+        Ok(ao)
     }
 
-    /// The level that a receiver with so much outline at level `number` should try next, if it needs one.
-    fn next(&self, number: usize, outline: f32, target: f32) -> Option<usize> {
-        let level = &self.levels[number];
-        let error = level.error(outline);
-        if error <= target {
-            return None;
+    /// Squared errors of `ao` of each of `which` at a level: half the squared difference of two answers.
+    fn squared_errors(
+        &mut self,
+        which: &[usize],
+        level: usize,
+        salts: [u32; 2],
+    ) -> Result<Vec<f64>, MaskError> {
+        let [a, b] = [self.ao(which, level, salts[0])?, self.ao(which, level, salts[1])?];
+        Ok(a.into_iter().zip(b).map(|(a, b)| 0.5 * f64::from(a - b).powi(2)).collect())
+    }
+
+    /// By pool of `which`, the mean squared error of the smallest number of rays.
+    fn differences(&mut self, which: &[usize]) -> Result<Vec<f64>, MaskError> {
+        let squares = self.squared_errors(which, 0, [SALTS[0], SALTS[1]])?;
+        Ok(squares.chunks(POOL).map(|pool| pool.iter().sum::<f64>() / pool.len() as f64).collect())
+    }
+
+    /// Finds the numbers of rays by pilot receivers.
+    fn plan(&mut self, order: &[usize], wanted: f64) -> Result<Plan, MaskError> {
+        let pools = order.len().div_ceil(POOL);
+        let pilots = (order.len() / PILOT_STRIDE).clamp(FEWEST_PILOTS, MOST_PILOTS);
+        let chosen = (pilots / POOL).min(pools);
+        let pool = |i: usize| order.chunks(POOL).nth(i * pools / chosen.max(1)).unwrap_or(&[]);
+        let pilots: Vec<usize> = (0..chosen).flat_map(pool).copied().collect();
+        // Pools of a slice that starts anywhere are whole, but for the last.
+        let differences = self.differences(&pilots)?;
+        let bounds = bounds(&differences);
+        let mut plan = Plan { bounds, levels: Vec::new(), squared_error: 0.0 };
+        let classes: Vec<usize> = (0..pilots.len()).map(|i| plan.class(differences[i / POOL])).collect();
+        let count = plan.bounds.len() + 1;
+        let shares = sums(&classes, &vec![1.0 / pilots.len() as f64; pilots.len()], count);
+        let levels = self.adaptive.levels.len();
+        let measured = MEASURED.into_iter().filter(|&level| level + 1 < levels).chain([levels - 1]);
+        // Share of the class times its squared error, by level.
+        let mut curves: Vec<(usize, Vec<f64>)> = Vec::new();
+        for level in measured {
+            let squares = self.squared_errors(&pilots, level, [SALTS[2], SALTS[3]])?;
+            let sums = sums(&classes, &squares, count).into_iter().map(|sum| sum / pilots.len() as f64);
+            let sums: Vec<f64> = sums.collect();
+            let total: f64 = sums.iter().sum();
+            curves.push((level, sums));
+            if total < ENOUGH * wanted {
+                break;
+            }
         }
-        let rays = level.pattern.len() as f32;
-        // Smooth outlines cross a number of shares that grows as the root of all; where half are crossed, all may be.
-        let power = if outline > 0.5 * rays { 0.5 } else { 0.75 };
-        let wanted = rays * (error / target).powf(1.0 / power);
-        let levels = self.levels.iter().enumerate().skip(number + 1);
-        let enough = levels.clone().find(|(_, level)| level.pattern.len() as f32 >= 0.75 * wanted);
-        enough.or_else(|| levels.last()).map(|(next, _)| next)
+        let rays: Vec<f64> = self.adaptive.levels.iter().map(|pattern| pattern.len() as f64).collect();
+        let errors: Vec<Vec<f64>> = (0..count).map(|class| curve(&curves, class, &rays)).collect();
+        let chosen = choose(&errors, &shares, &rays, wanted);
+        let cost = |levels: &[usize]| -> f64 {
+            levels.iter().zip(&shares).map(|(&level, share)| rays[level] * share).sum()
+        };
+        let total = |level: usize| errors.iter().map(|errors| errors[level]).sum::<f64>();
+        let uniform = (0..rays.len()).find(|&level| total(level) <= wanted).unwrap_or(rays.len() - 1);
+        plan.levels =
+            if rays[uniform] <= cost(&chosen) + 2.0 * rays[0] { vec![uniform; count] } else { chosen };
+        plan.squared_error = plan.levels.iter().zip(&errors).map(|(&level, errors)| errors[level]).sum();
+        Ok(plan)
+    }
+
+    /// The level of each receiver.
+    fn levels(&mut self, order: &[usize], plan: &Plan) -> Result<Vec<usize>, MaskError> {
+        if plan.is_uniform() {
+            return Ok(vec![plan.levels[0]; order.len()]);
+        }
+        let mut levels = vec![0; order.len()];
+        for (pool, difference) in order.chunks(POOL).zip(self.differences(order)?) {
+            pool.iter().for_each(|&i| levels[i] = plan.levels[plan.class(difference)]);
+        }
+        Ok(levels)
+    }
+}
+
+/// Bounds of classes: those without any difference, and the others in groups of about the same size.
+fn bounds(differences: &[f64]) -> Vec<f64> {
+    let mut sorted: Vec<f64> = differences.iter().copied().filter(|&d| d > 0.0).collect();
+    sorted.sort_by(f64::total_cmp);
+    let mut bounds: Vec<f64> =
+        (0..CLASSES).filter_map(|i| sorted.get(i * sorted.len() / CLASSES).copied()).collect();
+    bounds.dedup();
+    bounds
+}
+
+/// Sums of `values` by class.
+fn sums(classes: &[usize], values: &[f64], count: usize) -> Vec<f64> {
+    let mut sums = vec![0.0; count];
+    classes.iter().zip(values).for_each(|(&class, value)| sums[class] += value);
+    sums
+}
+
+/// Squared errors of a class at each level, from those measured: straight lines in logarithms.
+fn curve(measured: &[(usize, Vec<f64>)], class: usize, rays: &[f64]) -> Vec<f64> {
+    // Where pilots saw no error there may still be some; at least one that falls with the rays.
+    let mut points: Vec<(f64, f64)> = Vec::new();
+    for (level, errors) in measured {
+        let least = points
+            .last()
+            .map_or(1e-12, |&(r, e): &(f64, f64)| (e.exp() * (r.exp() / rays[*level]).powi(2)).max(1e-12));
+        points.push((rays[*level].ln(), errors[class].max(least).ln()));
+    }
+    let at = |rays: f64| {
+        let x = rays.ln();
+        let i = points.partition_point(|&(known, _)| known < x).clamp(1, points.len().max(2) - 1);
+        match (points.get(i - 1), points.get(i)) {
+            (Some(&(x0, y0)), Some(&(x1, y1))) => {
+                // Beyond what was measured errors fall at least as the reciprocal of the rays.
+                let slope = ((y1 - y0) / (x1 - x0)).clamp(-2.0, if x > x1 { -1.0 } else { 0.0 });
+                if x > x1 { y1 + slope * (x - x1) } else { y0 + slope * (x - x0) }
+            }
+            // With one point there is one number of rays, or the least is enough.
+            (point, _) => point.map_or(0.0, |&(x0, y0)| y0 - (x - x0)),
+        }
+        .exp()
+    };
+    rays.iter().map(|&rays| at(rays)).collect()
+}
+
+/// The level of each class with which the sum of `errors` is at most `wanted` in the least rays: the next level goes to where a ray
+/// takes away most.
+fn choose(errors: &[Vec<f64>], shares: &[f64], rays: &[f64], wanted: f64) -> Vec<usize> {
+    let mut levels = vec![0; errors.len()];
+    loop {
+        let total: f64 = levels.iter().zip(errors).map(|(&level, errors)| errors[level]).sum();
+        // Curves need not be convex: the best of all higher levels.
+        let gain = |class: usize, to: usize| {
+            let from = levels[class];
+            let cost = (rays[to] - rays[from]) * shares[class].max(1e-9);
+            (errors[class][from] - errors[class][to]) / cost
+        };
+        let steps =
+            (0..errors.len()).flat_map(|class| (levels[class] + 1..rays.len()).map(move |to| (class, to)));
+        let best = steps.max_by(|&a, &b| gain(a.0, a.1).total_cmp(&gain(b.0, b.1)));
+        match best {
+            Some((class, to)) if total > wanted => levels[class] = to,
+            _ => return levels,
+        }
     }
 }
 
 /// Answers on their way to the caller's outputs.
 struct Room {
     ao: Vec<f32>,
-    masks: Vec<u64>,
     bent_normals: Option<Vec<[f32; 3]>>,
     sectors: Option<(u32, Vec<f32>)>,
     hit_distances: Option<Vec<f32>>,
 }
 
 impl Room {
-    /// As `outputs` want it, with masks of `words` words each.
-    fn new(outputs: &Outputs<'_>, count: usize, words: usize) -> Self {
+    /// As `outputs` want it.
+    fn new(outputs: &Outputs<'_>, count: usize) -> Self {
         let sectors = outputs.sectors.as_ref().map(|&(n, _)| (n, vec![0.0; count * n as usize]));
         Self {
             ao: vec![0.0; count],
-            masks: vec![0; count * words],
             bent_normals: outputs.bent_normals.as_ref().map(|_| vec![[0.0; 3]; count]),
             sectors,
             hit_distances: outputs.hit_distances.as_ref().map(|_| vec![0.0; count]),
@@ -211,14 +336,14 @@ impl Room {
     }
 
     fn outputs(&mut self) -> Outputs<'_> {
-        let mut outputs = Outputs::new(&mut self.ao).with_masks(&mut self.masks);
+        let mut outputs = Outputs::new(&mut self.ao);
         outputs.bent_normals = self.bent_normals.as_deref_mut();
         outputs.sectors = self.sectors.as_mut().map(|(n, values)| (*n, &mut values[..]));
         outputs.hit_distances = self.hit_distances.as_deref_mut();
         outputs
     }
 
-    /// Takes what `other` has at `from`, but for masks.
+    /// Takes what `other` has at `from`.
     fn take(&mut self, to: usize, other: &Self, from: usize) {
         self.ao[to] = other.ao[from];
         if let (Some(own), Some(other)) = (&mut self.bent_normals, &other.bent_normals) {

@@ -10,7 +10,7 @@ pub mod adaptive;
 pub mod fans;
 mod goal;
 mod kernel;
-mod rays;
+pub(crate) mod rays;
 mod walk;
 
 use crate::{
@@ -103,7 +103,7 @@ pub(crate) struct Masks<'a> {
     back_end: BackEnd,
     /// Whether distances are asked for.
     distances: bool,
-    parts: Vec<Part>,
+    parts: Vec<Part<'a>>,
 }
 
 impl<'a> Masks<'a> {
@@ -194,7 +194,7 @@ impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for Veils<'_, F> {
 /// One part of the rays of a block of receivers.
 struct Run<'a, G> {
     masks: &'a Masks<'a>,
-    part: &'a Part,
+    part: &'a Part<'a>,
     receivers: &'a [Receiver],
     goal: &'a mut G,
     out: &'a mut [u64],
@@ -207,9 +207,9 @@ impl<G: Goal> Job for Run<'_, G> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
         let Self { masks, part, receivers, goal, out, walks } = self;
-        for walk in walks.iter_mut().filter(|walk| walk.part != Some(part.first)) {
-            part.begin(&mut walk.rays);
-            walk.part = Some(part.first);
+        for walk in walks.iter_mut().filter(|walk| walk.part != Some(part.first())) {
+            part.begin(0, &mut walk.rays);
+            walk.part = Some(part.first());
         }
         let mut source = ByReceiver { masks, part, receivers, next: 0, out };
         take_turns(kernel, masks.bvh, walks, goal, &mut source);
@@ -219,7 +219,7 @@ impl<G: Goal> Job for Run<'_, G> {
 /// Receiver by receiver.
 struct ByReceiver<'a> {
     masks: &'a Masks<'a>,
-    part: &'a Part,
+    part: &'a Part<'a>,
     receivers: &'a [Receiver],
     next: usize,
     out: &'a mut [u64],
@@ -230,14 +230,15 @@ impl<G: Goal> Source<G> for ByReceiver<'_> {
     fn start(&mut self, walk: &mut Walk) -> bool {
         let Self { masks: Masks { pattern, .. }, part, receivers, next, .. } = self;
         let Some(receiver) = receivers.get(*next) else { return false };
-        if G::SHRINKS {
-            part.begin(&mut walk.rays);
+        let (frame, member) = (pattern.frame_of(receiver), pattern.member_of(receiver));
+        if G::SHRINKS || part.has_many_ends() {
+            part.begin(member, &mut walk.rays);
         }
-        let frame = pattern.frame_of(receiver);
-        part.turn(&frame, &mut walk.rays);
-        let axis = frame.world_from_local(part.cone.axis).to_array();
-        let hull = Hull::new(part.reach, frame.normal.to_array(), axis, part.cone.angle);
-        walk.start(*next * pattern.len() + part.first, receiver.point().to_array(), hull);
+        part.turn(member, &frame, &mut walk.rays);
+        let cone = part.cone(member);
+        let axis = frame.world_from_local(cone.axis).to_array();
+        let hull = Hull::new(part.reach(member), frame.normal.to_array(), axis, cone.angle);
+        walk.start(*next * pattern.len() + part.first(), receiver.point().to_array(), hull);
         *next += 1;
         true
     }
@@ -296,10 +297,10 @@ fn take_turns<K: Kernel, G: Goal>(
 
 /// Puts the bits of a walk that has ended into the mask of its receiver.
 #[inline(always)]
-fn write(walk: &Walk, part: &Part, out: &mut [u64]) {
-    for g in 0..part.len / GROUP {
+fn write(walk: &Walk, part: &Part<'_>, out: &mut [u64]) {
+    for g in 0..part.len() / GROUP {
         let bits = walk.done[g] & !walk.rays.closed[g];
-        let at = part.first + g * GROUP;
+        let at = part.first() + g * GROUP;
         out[at / 64] |= u64::from(bits) << (at % 64);
     }
 }
@@ -311,17 +312,18 @@ fn alone(
     bvh: &Bvh,
     pattern: &Pattern,
     options: &MaskOptions,
-    part: &Part,
+    part: &Part<'_>,
     receiver: &Receiver,
     walk: &Walk,
     goal: &mut impl Goal,
     out: &mut [u64],
 ) {
-    if walk.rays.closed[..part.len / GROUP].iter().all(|&closed| closed == 0) {
+    if walk.rays.closed[..part.len() / GROUP].iter().all(|&closed| closed == 0) {
         return;
     }
-    for (i, ray) in pattern.rays_of(receiver, options.radius).enumerate().skip(part.first).take(part.len) {
-        let at = i - part.first;
+    for (i, ray) in pattern.rays_of(receiver, options.radius).enumerate().skip(part.first()).take(part.len())
+    {
+        let at = i - part.first();
         if walk.rays.closed[at / GROUP] >> (at % GROUP) & 1 == 1 {
             out[i / 64] |= u64::from(goal.alone(bvh, walk.item + at, &ray)) << (i % 64);
         }

@@ -205,7 +205,7 @@ pub(crate) fn unit(v: Vec3) -> Vec3 {
 }
 
 /// A cone around directions.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Cone {
     pub(crate) axis: Vec3,
     /// Cosine and sine of a half-angle that is at least the cone's.
@@ -226,104 +226,188 @@ impl Cone {
     }
 }
 
-/// A run of a pattern's rays, [`RAYS`] at most, ready to be turned to receivers.
-#[derive(Clone, Debug)]
-pub(crate) struct Part {
+/// A run of a pattern's rays, [`RAYS`] at most, by member, in the pattern's frame.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Shape {
     /// Number of the first ray.
-    pub(crate) first: usize,
+    first: usize,
     /// Number of rays.
-    pub(crate) len: usize,
-    /// By axis, in the pattern's frame.
-    local: [[f32; RAYS]; 3],
-    /// Directions, scaled, are replaced receiver by receiver; all else stays.
-    set: RaySet,
-    /// Middle of each group in the pattern's frame.
+    len: usize,
+    members: Box<[Member]>,
+}
+
+/// The directions of one member.
+#[derive(Clone, Debug, PartialEq)]
+struct Member {
+    /// By axis, one row after the other.
+    local: Box<[f32]>,
+    /// Middle of each group.
     axes: [[f32; GROUPS]; 3],
-    /// At least the length of any ray, world units.
-    pub(crate) reach: f32,
-    /// Around all rays, in the pattern's frame.
-    pub(crate) cone: Cone,
+    /// Cosine of each group's half-angle, or less.
+    cos: [f32; GROUPS],
+    /// Sine of each group's half-angle; the angle may be larger than it is.
+    sin: [f32; GROUPS],
+    /// At least the distance of any unit direction of the group from its axis.
+    chord: [f32; GROUPS],
+    /// Around all rays.
+    cone: Cone,
 }
 
-/// The runs that a pattern is cut into: halves of halves, as it was ordered. Rays are no longer than `limit`, world units.
-pub(crate) fn parts(pattern: &Pattern, radius: f32, limit: f32) -> Vec<Part> {
-    let mut parts = Vec::new();
-    let lengths: Vec<f32> = pattern.lengths().iter().map(|length| (radius * length).min(limit)).collect();
-    cut(pattern, &lengths, 0, pattern.len(), &mut parts);
-    parts
-}
-
-fn cut(pattern: &Pattern, lengths: &[f32], first: usize, len: usize, parts: &mut Vec<Part>) {
-    if len > RAYS {
-        let half = Pattern::half(len);
-        cut(pattern, lengths, first, half, parts);
-        cut(pattern, lengths, first + half, len - half, parts);
-    } else {
-        parts.push(Part::new(pattern, lengths, first, len));
-    }
-}
-
-impl Part {
-    /// `lengths` of the pattern's rays, world units.
-    fn new(pattern: &Pattern, lengths: &[f32], first: usize, len: usize) -> Self {
-        let directions = &pattern.directions()[first..first + len];
-        let mut part = Self {
-            first,
-            len,
-            local: [[0.0; RAYS]; 3],
-            set: RaySet::new(),
-            axes: [[0.0; GROUPS]; 3],
-            reach: 0.0,
+impl Member {
+    fn new(directions: &[Vec3]) -> Self {
+        let row = [0.0; GROUPS];
+        let mut member = Self {
+            local: (0..3).flat_map(|axis| directions.iter().map(move |d| d[axis])).collect(),
+            axes: [row; 3],
+            cos: row,
+            sin: row,
+            chord: row,
             cone: Cone::around(directions.iter().map(|d| d.normalize())),
         };
-        part.set.groups = len / GROUP;
-        for (i, (d, &tfar)) in directions.iter().zip(&lengths[first..]).enumerate() {
-            for axis in 0..3 {
-                part.local[axis][i] = d[axis];
-            }
-            part.reach = part.reach.max(tfar);
-            part.set.far[i] = tfar * 2.0;
-            let walks = part.set.far[i] >= f32::MIN_POSITIVE;
-            part.set.closed[i / GROUP] &= !(u8::from(walks) << (i % GROUP));
-        }
         for (g, group) in directions.chunks(GROUP).enumerate() {
             let cone = Cone::around(group.iter().map(|d| d.normalize()));
-            part.set.set_cone(g, &cone);
+            for axis in 0..3 {
+                member.axes[axis][g] = cone.axis[axis];
+            }
+            ([member.cos[g], member.sin[g]], member.chord[g]) = (cone.angle, cone.chord);
         }
-        part.axes = part.set.axis;
-        part
+        member
+    }
+}
+
+/// The runs that a pattern is cut into: halves of halves, as it was ordered.
+pub(crate) fn shapes(pattern: &Pattern) -> Box<[Shape]> {
+    let mut shapes = Vec::new();
+    cut(pattern, 0, pattern.len(), &mut shapes);
+    shapes.into()
+}
+
+fn cut(pattern: &Pattern, first: usize, len: usize, shapes: &mut Vec<Shape>) {
+    if len > RAYS {
+        let half = Pattern::half(len);
+        cut(pattern, first, half, shapes);
+        cut(pattern, first + half, len - half, shapes);
+    } else {
+        let member = |number| Member::new(&pattern.directions(number)[first..first + len]);
+        shapes.push(Shape { first, len, members: (0..pattern.members()).map(member).collect() });
+    }
+}
+
+/// Ends of the rays of a run.
+#[derive(Clone, Debug)]
+struct Ends {
+    /// In units of scaled directions.
+    far: [f32; RAYS],
+    /// Bits without a ray, or with a ray too short to walk.
+    closed: [u8; GROUPS],
+    /// At least the length of any ray, world units.
+    reach: f32,
+}
+
+impl Ends {
+    /// Of rays with the given lengths, world units.
+    fn new(lengths: impl Iterator<Item = f32>) -> Self {
+        let mut ends = Self { far: [0.0; RAYS], closed: [u8::MAX; GROUPS], reach: 0.0 };
+        for (i, tfar) in lengths.enumerate() {
+            ends.reach = ends.reach.max(tfar);
+            ends.far[i] = tfar * 2.0;
+            let walks = ends.far[i] >= f32::MIN_POSITIVE;
+            ends.closed[i / GROUP] &= !(u8::from(walks) << (i % GROUP));
+        }
+        ends
+    }
+}
+
+/// A run of a pattern's rays with their lengths, ready to be turned to receivers.
+pub(crate) struct Part<'p> {
+    shape: &'p Shape,
+    /// By member, or one for all.
+    ends: Vec<Ends>,
+}
+
+/// The runs of `pattern`. Rays are no longer than `limit`, world units.
+pub(crate) fn parts(pattern: &Pattern, radius: f32, limit: f32) -> Vec<Part<'_>> {
+    let runs = if pattern.has_shared_lengths() { 1 } else { pattern.members() };
+    let part = |shape| {
+        let &Shape { first, len, .. } = shape;
+        let ends = |member| {
+            let lengths = pattern.lengths(member)[first..first + len].iter();
+            Ends::new(lengths.map(|length| (radius * length).min(limit)))
+        };
+        Part { shape, ends: (0..runs).map(ends).collect() }
+    };
+    pattern.shapes().iter().map(part).collect()
+}
+
+impl Part<'_> {
+    /// Number of the first ray.
+    #[inline(always)]
+    pub(crate) fn first(&self) -> usize {
+        self.shape.first
     }
 
-    /// What does not change from receiver to receiver.
-    pub(crate) fn begin(&self, rays: &mut RaySet) {
-        let (set, n) = (&self.set, self.len);
-        rays.far[..n].copy_from_slice(&set.far[..n]);
-        rays.unscale[..n].copy_from_slice(&set.unscale[..n]);
-        (rays.cos, rays.sin, rays.chord) = (set.cos, set.sin, set.chord);
-        (rays.groups, rays.closed) = (set.groups, set.closed);
+    /// Number of rays.
+    #[inline(always)]
+    pub(crate) fn len(&self) -> usize {
+        self.shape.len
     }
 
-    /// Turns the directions to `frame`; `rays` must have begun with this part. The arithmetic is that of
+    #[inline(always)]
+    fn ends(&self, member: usize) -> &Ends {
+        &self.ends[member % self.ends.len()]
+    }
+
+    /// At least the length of any ray of `member`, world units.
+    #[inline(always)]
+    pub(crate) fn reach(&self, member: usize) -> f32 {
+        self.ends(member).reach
+    }
+
+    /// Cone around all rays of `member`, in the pattern's frame.
+    #[inline(always)]
+    pub(crate) fn cone(&self, member: usize) -> &Cone {
+        &self.shape.members[member].cone
+    }
+
+    /// Whether members differ in the lengths of their rays.
+    #[inline(always)]
+    pub(crate) fn has_many_ends(&self) -> bool {
+        self.ends.len() > 1
+    }
+
+    /// What does not change from receiver to receiver, nor, unless [`Self::has_many_ends`], from member to member.
+    pub(crate) fn begin(&self, member: usize, rays: &mut RaySet) {
+        let (ends, n) = (self.ends(member), self.len());
+        rays.far[..n].copy_from_slice(&ends.far[..n]);
+        rays.unscale[..n].fill(2.0);
+        (rays.groups, rays.closed) = (n / GROUP, ends.closed);
+    }
+
+    /// Turns the directions of `member` to `frame`; `rays` must have begun with this part. The arithmetic is that of
     /// [`Pattern::rays_of`].
     #[inline(always)]
-    pub(crate) fn turn(&self, frame: &Frame, rays: &mut RaySet) {
+    pub(crate) fn turn(&self, member: usize, frame: &Frame, rays: &mut RaySet) {
         let Frame { tangent, bitangent, normal } = frame;
-        let [x, y, z] = &self.local;
+        let (len, member_) = (self.len(), &self.shape.members[member]);
+        let (x, rest) = member_.local.split_at(len);
+        let (y, z) = rest.split_at(len);
         for axis in 0..3 {
             let (t, b, n) = (tangent[axis], bitangent[axis], normal[axis]);
-            let row = &mut rays.direction[axis];
-            for g in 0..self.set.groups.min(GROUPS) {
-                for i in g * GROUP..(g + 1) * GROUP {
+            let row = rays.direction[axis].chunks_exact_mut(GROUP);
+            let local = x.chunks_exact(GROUP).zip(y.chunks_exact(GROUP).zip(z.chunks_exact(GROUP)));
+            for (row, (x, (y, z))) in row.zip(local) {
+                for i in 0..GROUP {
                     row[i] = ((t * x[i] + b * y[i]) + n * z[i]) * 0.5;
                 }
             }
             let row = &mut rays.axis[axis];
             for (g, x) in row.iter_mut().enumerate() {
-                *x = (t * self.axes[0][g] + b * self.axes[1][g]) + n * self.axes[2][g];
+                *x = (t * member_.axes[0][g] + b * member_.axes[1][g]) + n * member_.axes[2][g];
             }
         }
+        (rays.cos, rays.sin, rays.chord) = (member_.cos, member_.sin, member_.chord);
         rays.set_ends();
-        rays.closed = self.set.closed;
+        rays.closed = self.ends(member).closed;
         if rays.invert() {
             rays.close_small();
         }

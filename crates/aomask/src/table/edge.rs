@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn lookups_are_exact_up_to_the_cell() {
-        let directions = Pattern::new(&PatternOptions::default()).unwrap().directions().to_vec();
+        let directions = Pattern::new(&PatternOptions::default()).unwrap().directions(0).to_vec();
         let table = EdgeTable::<2>::nearest(&directions, 65, BackEnd::best());
         let rims = EdgeTable::<2>::conservative(&directions, 12, BackEnd::best());
         let mut runner = proptest::test_runner::TestRunner::deterministic();
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn back_ends_fill_the_same_table() {
-        let directions = Pattern::new(&PatternOptions::default()).unwrap().directions().to_vec();
+        let directions = Pattern::new(&PatternOptions::default()).unwrap().directions(0).to_vec();
         let tables = BackEnd::ALL.map(|b| EdgeTable::<2>::conservative(&directions, 9, b));
         assert!(tables.iter().all(|t| t.cells == tables[0].cells));
     }

@@ -123,9 +123,9 @@ pub(crate) struct TableSet<const W: usize> {
 impl<const W: usize> TableSet<W> {
     fn build(pattern: &Pattern, options: &TableOptions) -> Self {
         let planes = |ends: &[Vec3]| PlaneTable::build(ends, options.planes, options.back_end);
-        let directions = pattern.directions();
+        let directions = pattern.directions(0);
         let ends: Vec<Vec3> =
-            directions.iter().zip(pattern.lengths()).map(|(&d, &length)| d * length).collect();
+            directions.iter().zip(pattern.lengths(0)).map(|(&d, &length)| d * length).collect();
         Self {
             edges: EdgeTable::nearest(directions, options.edges, options.back_end),
             planes: planes(&ends),
@@ -149,11 +149,16 @@ impl<const W: usize> TableSet<W> {
 }
 
 impl MaskTables {
-    /// Fills the tables of `pattern`, on all threads of the caller's pool.
+    /// Fills the tables of `pattern`, which has one member ([`crate::Points::Middles`] or [`crate::Points::Relaxed`]), on all
+    /// threads of the caller's pool.
     ///
     /// # Errors
-    /// [`MaskError::Resolution`]; [`MaskError::BackEnd`] if this processor lacks the one asked for.
+    /// [`MaskError::Family`], [`MaskError::Rays`], [`MaskError::Resolution`]; [`MaskError::BackEnd`] if this processor lacks the one asked for.
     pub fn new(pattern: Pattern, options: &TableOptions) -> Result<Self, MaskError> {
+        pattern.check_masks()?;
+        if pattern.members() > 1 {
+            return Err(MaskError::Family(pattern.members()));
+        }
         let mut options = *options;
         let (planes, edges) = default_resolutions(pattern.len());
         for (what, value, default, limit) in
@@ -281,7 +286,7 @@ impl MaskTables {
     /// Rays of no length, and bits without a ray: they count as blocked from the start.
     pub(crate) fn closed_rays<const W: usize>(&self) -> [u64; W] {
         let mut closed = [!0; W];
-        for (i, _) in self.pattern.lengths().iter().enumerate().filter(|&(_, &length)| length > 0.0) {
+        for (i, _) in self.pattern.lengths(0).iter().enumerate().filter(|&(_, &length)| length > 0.0) {
             closed[i / 64] &= !(1 << (i % 64));
         }
         closed

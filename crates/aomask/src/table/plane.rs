@@ -203,7 +203,7 @@ mod tests {
     }
 
     fn ends() -> Vec<Vec3> {
-        Pattern::new(&PatternOptions::default()).unwrap().directions().to_vec()
+        Pattern::new(&PatternOptions::default()).unwrap().directions(0).to_vec()
     }
 
     fn normal() -> impl Strategy<Value = Vec3> {

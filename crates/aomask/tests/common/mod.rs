@@ -3,12 +3,12 @@
 
 use std::ops::ControlFlow;
 use umbrage_accel::{BuildOptions, Bvh};
-use umbrage_aomask::{MaskOptions, Pattern, PatternOptions, Receiver, Sides};
+use umbrage_aomask::{MaskOptions, Pattern, PatternOptions, Points as DiscPoints, Receiver, Sides};
 use umbrage_geom::{
     Falloff, Ray, TriangleHit, TriangleMesh,
     glam::{Vec2, Vec3},
     offset_origin,
-    sampling::{RandomStream, combine, triangle},
+    sampling::{RandomStream, triangle},
 };
 
 pub struct Scene {
@@ -36,6 +36,12 @@ pub fn pattern(rays: u32, falloff: Falloff) -> Pattern {
     Pattern::new(&PatternOptions::default().with_rays(rays).with_falloff(falloff)).expect("valid options")
 }
 
+/// The fixed pattern that tables take.
+pub fn table_pattern(rays: u32, falloff: Falloff) -> Pattern {
+    let options = PatternOptions::default().with_points(DiscPoints::Middles);
+    Pattern::new(&options.with_rays(rays).with_falloff(falloff)).expect("valid options")
+}
+
 pub type Points = (Vec<[f32; 3]>, Vec<[f32; 3]>);
 
 /// Points on random triangles, on the front side.
@@ -60,8 +66,8 @@ pub fn receivers(mesh: &TriangleMesh, count: usize, seed: u32) -> Points {
 
 /// Rays of receiver `i` as the methods define them.
 pub fn rays(pattern: &Pattern, (points, normals): &Points, options: &MaskOptions, i: usize) -> Vec<Ray> {
-    let receiver =
-        Receiver::new(i, points[i], normals[i], combine(options.seed, i as u32)).expect("valid receiver");
+    let seed = Receiver::seed_of(points[i], normals[i], options.seed);
+    let receiver = Receiver::new(i, points[i], normals[i], seed).expect("valid receiver");
     pattern.rays_of(&receiver, options.radius).collect()
 }
 

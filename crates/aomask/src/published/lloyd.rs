@@ -21,7 +21,7 @@ const ROUND: f64 = 1e-3;
 /// `[Laine10]`, section 6: random points, Lloyd relaxation, a random point of each Voronoi cell, a few more steps. Departure:
 /// the first points are scrambled Sobol points. Differences in density over long distances, which independent points have,
 /// take about as many steps to relax as there are points; from Sobol points a few steps are enough.
-pub(super) fn disc_points(n: usize, seed: u32) -> Vec<DVec2> {
+pub(crate) fn disc_points(n: usize, seed: u32) -> Vec<DVec2> {
     let square = |i: usize| sobol_2d(i as u32, 0, seed);
     let mut points: Vec<DVec2> = (0..n).map(|i| concentric_disc(square(i)).as_dvec2()).collect();
     let mut cells = Cells::new(n);
