@@ -10,8 +10,8 @@ use std::{
 };
 use umbrage_render::{
     compare::{CompareOptions, DifferencePicture, write_difference},
-    geometry::Geometry,
     image::{Film, read_exr, write_exr},
+    query::Occluders,
     render::{RenderOptions, render},
     subdivide,
 };
@@ -34,8 +34,8 @@ fn check(name: &str) {
 }
 
 fn check_scene(name: &str, scene: &Scene) {
-    let geometry = Geometry::build(scene).unwrap();
-    let actual = render(scene, &geometry, &RenderOptions::default(), &mut |_| true).unwrap().film;
+    let occluders = Occluders::of_scene(scene, &mut |_| true).unwrap();
+    let actual = render(scene, &occluders, &RenderOptions::default(), &mut |_| true).unwrap().film;
     let path = folder().join(name).with_extension("exr");
     if std::env::var_os("UMBRAGE_BLESS").is_some() {
         write_exr(&path, &actual).unwrap();

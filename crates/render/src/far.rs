@@ -65,6 +65,11 @@ impl FarOpacity {
         Ok(Self { field, diagonal, large: large.into_iter().map(|i| mesh.triangle(i)).collect(), samples })
     }
 
+    /// Memory it holds.
+    pub(crate) fn bytes(&self) -> usize {
+        self.field.bytes() + size_of_val(&self.large[..]) + size_of_val(&self.samples[..])
+    }
+
     /// How far masks of `pattern`, which has `options`, are to be exact so that the whole errs little at sampled points. `None` if
     /// the field is of no use, because it would have to begin too far away.
     ///

@@ -3,7 +3,12 @@
 //! Edges and duplicates are judged by position: vertices at exactly the same place count as one, because many files
 //! split vertices along seams. Costs a few sorts of the vertices, triangles and edges.
 
+mod methods;
 mod text;
+
+pub use methods::{
+    Inspection, MethodReport, MethodReports, inspect_mesh_for_methods, inspect_scene_for_methods,
+};
 
 use rayon::prelude::*;
 use serde::Serialize;

@@ -2,12 +2,11 @@
 
 use crate::{
     camera::Camera,
-    geometry::{Geometry, Surface},
     light::Light,
-    method::{LightRay, Method},
+    query::{Answers, Engine, LightRay, Occluders, QueryError, Surface},
 };
 use umbrage_accel::Counters;
-use umbrage_aomask::Receiver;
+use umbrage_aomask::{Outputs, Receiver};
 use umbrage_geom::{
     Falloff, Frame, Ray,
     glam::{Vec2, Vec3},
@@ -51,12 +50,14 @@ pub(crate) struct Sky {
 /// Everything a pixel depends on.
 pub(crate) struct Integrator<'a> {
     pub camera: Camera,
-    pub geometry: &'a Geometry,
+    pub occluders: &'a Occluders,
     pub lights: Vec<Light>,
     pub sky: Option<Sky>,
     pub background: Vec3,
-    pub shadows: &'a dyn Method,
-    pub ambient: &'a dyn Method,
+    /// Answers rays to lights, if there are any.
+    pub shadows: Option<&'a dyn Engine>,
+    /// Answers the sky, if there is one.
+    pub ambient: Option<&'a dyn Engine>,
     pub spp: u32,
     pub shadow_samples: u32,
     pub ao_samples: u32,
@@ -95,6 +96,8 @@ pub(crate) struct Scratch {
     slot: u32,
     pub counts: RayCounts,
     pub counters: Counters,
+    /// The first call that failed; the pixels are of no use then.
+    pub failed: Option<QueryError>,
 }
 
 #[derive(Default)]
@@ -128,9 +131,9 @@ impl Integrator<'_> {
     /// the same pixels in the same order.
     pub fn open_pixels(&self, pixels: &[(u32, u32)], scratch: &mut Scratch) {
         scratch.open.clear();
-        if self.sky.is_none() || !self.open.is_empty() || !self.ambient.opennesses(&[], &mut []) {
+        let Some(ambient) = self.ambient.filter(|ambient| ambient.answers() == Answers::Receivers) else {
             return;
-        }
+        };
         let (mut receivers, mut slots) = (Vec::new(), Vec::new());
         let mut uncounted = Scratch::default();
         for (slot, &(x, y)) in pixels.iter().enumerate() {
@@ -146,7 +149,9 @@ impl Integrator<'_> {
             }
         }
         let mut open = vec![1.0; receivers.len()];
-        self.ambient.opennesses(&receivers, &mut open);
+        if let Err(error) = ambient.sky(&receivers, Outputs::new(&mut open), &mut |_| true) {
+            scratch.failed = Some(error);
+        }
         scratch.open.resize(pixels.len() * self.spp as usize, 1.0);
         slots.into_iter().zip(open).for_each(|(slot, open)| scratch.open[slot] = open);
         scratch.slot = 0;
@@ -199,9 +204,9 @@ impl Integrator<'_> {
         for layer in 0..MOST_LAYERS {
             scratch.counts.camera += 1;
             let surface = if self.count_cost {
-                self.geometry.closest_hit(&rest, &mut scratch.counters)?
+                self.occluders.closest_hit(&rest, &mut scratch.counters)?
             } else {
-                self.geometry.closest_hit(&rest, &mut ())?
+                self.occluders.closest_hit(&rest, &mut ())?
             };
             if surface.opacity >= 1.0 || unit(combine(seed, layer)) < surface.opacity {
                 return Some(surface);
@@ -309,10 +314,14 @@ impl Integrator<'_> {
         scratch.passed.iter().sum::<f32>() / self.ao_samples as f32
     }
 
-    fn trace(&self, method: &dyn Method, light: Option<usize>, scratch: &mut Scratch) {
+    fn trace(&self, engine: Option<&dyn Engine>, light: Option<usize>, scratch: &mut Scratch) {
         scratch.passed.clear();
         scratch.passed.resize(scratch.rays.len(), 1.0);
         let counters = self.count_cost.then_some(&mut scratch.counters);
-        method.transmittances(&scratch.rays, light, &mut scratch.passed, counters);
+        if let Some(engine) = engine
+            && let Err(error) = engine.transmittances(&scratch.rays, light, &mut scratch.passed, counters)
+        {
+            scratch.failed = Some(error);
+        }
     }
 }

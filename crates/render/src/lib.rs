@@ -9,16 +9,15 @@ pub mod compare;
 mod error;
 mod far;
 pub mod fingerprint;
-pub mod geometry;
 pub mod image;
 pub mod inspect;
 mod integrator;
 pub mod light;
-pub mod method;
+pub mod query;
 mod raster_sky;
+
 pub mod render;
 pub mod subdivide;
-mod volumetric;
 
 pub use error::RenderError;
 pub use integrator::{NO_DEPTH, RayCounts};

@@ -1,39 +1,34 @@
-//! Ambient occlusion of a whole image by rasterization, before its pixels are shaded.
+//! Ambient occlusion of a whole image, before its pixels are shaded, by engines that answer images.
 
 use crate::{
     RenderError,
-    geometry::Geometry,
     integrator::{Integrator, Scratch},
-    method::{MASK_RASTER, SkyRays},
+    query::{Answers, Engine, QueryError, engine::Report},
 };
 use rayon::prelude::*;
-use umbrage_aomask::{
-    MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, RasterLevel, RasterOptions, RasterView,
-    TableOptions, rasterize,
-};
+use umbrage_aomask::{Outputs, RasterView};
 use umbrage_geom::{glam::Vec3, sampling::combine};
 
 /// Camera samples may lie anywhere in their pixel.
 const FOOTPRINT: f32 = 0.71;
 
-/// Openness of the sky, 1 is open, for each camera sample and pixel of the image, row by row.
+/// Openness of the sky, 1 is open, for each camera sample and pixel of the image, row by row; nothing for engines that don't
+/// answer images. `progress` is asked whether to go on.
 ///
 /// # Errors
-/// [`RenderError::MaskGeometry`], [`RenderError::RasterLens`], [`RenderError::Mask`].
+/// [`RenderError::Query`], [`RenderError::Cancelled`].
 pub(crate) fn openness(
     integrator: &Integrator<'_>,
-    geometry: &Geometry,
-    sky: &SkyRays,
+    engine: &dyn Engine,
     [width, height]: [u32; 2],
+    progress: Report<'_>,
 ) -> Result<Vec<Vec<f32>>, RenderError> {
-    let (_, mesh) = geometry.flat_opaque().ok_or(RenderError::MaskGeometry(MASK_RASTER))?;
-    let camera = integrator.camera.raster(width, height).ok_or(RenderError::RasterLens)?;
-    let pattern = PatternOptions::default()
-        .with_rays(sky.samples)
-        .with_falloff(sky.falloff.clone())
-        .with_seed(sky.seed);
-    let tables = MaskTables::new(Pattern::new(&pattern)?, &TableOptions::default())?;
-    let level = RasterLevel::exact(&mesh.positions, &mesh.triangles);
+    if engine.answers() != Answers::Images {
+        return Ok(Vec::new());
+    }
+    let reason = "its camera can't be rasterized";
+    let unsupported = QueryError::Unsupported { method: engine.name(), reason };
+    let camera = integrator.camera.raster(width, height).ok_or(unsupported)?;
     (0..integrator.spp)
         .map(|sample| {
             let pixels = 0..width as usize * height as usize;
@@ -46,10 +41,9 @@ pub(crate) fn openness(
                 })
                 .unzip();
             let view = RasterView::new(camera, width, height, &points, &normals).with_footprint(FOOTPRINT);
-            let options = MaskOptions::default().with_radius(sky.radius).with_seed(combine(sky.seed, sample));
             let mut open = vec![1.0; points.len()];
-            let outputs = Outputs::new(&mut open);
-            rasterize(&tables, &[level], &view, &options, &RasterOptions::default(), outputs, &mut |_| true)?;
+            let seed = combine(integrator.seed, sample);
+            engine.image(&view, seed, Outputs::new(&mut open), &mut |_| progress(0.0))?;
             Ok(open)
         })
         .collect()

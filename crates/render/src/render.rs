@@ -3,16 +3,16 @@
 use crate::{
     RenderError,
     camera::Camera,
-    geometry::Geometry,
     image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names},
     integrator::{Integrator, Pixel, RayCounts, Scratch, Sky},
     light::Light,
-    method::{MASK_RASTER, SkyRays, ao_method, shadow_method},
+    query::{AoMethod, Occluders, SceneKind, Selection, ShadowMethod, Sky as SkyQuery, plan},
     raster_sky,
 };
 use rayon::prelude::*;
 use std::sync::Mutex;
 use umbrage_accel::Counters;
+use umbrage_aomask::PatternOptions;
 use umbrage_geom::{Progress, glam::Vec3};
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 use umbrage_scene::{Scene, Settings};
@@ -64,14 +64,34 @@ pub struct Rendered {
     pub counters: Option<Counters>,
     /// Occluders that were made for shadow rays, by methods that have them.
     pub occluders: Option<Prepared>,
-    /// Names of the methods that were used for shadows and ambient occlusion, and why.
-    pub methods: [(&'static str, &'static str); 2],
+    /// What answered shadow rays, and why.
+    pub shadows: MethodUsed,
+    /// What answered the sky, and why.
+    pub ao: MethodUsed,
+}
+
+/// The method that answered one kind of ray.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MethodUsed {
+    /// Its name; `None` if nothing was asked.
+    pub name: Option<&'static str>,
+    /// Why it was taken, or why nothing was asked.
+    pub reason: &'static str,
+}
+
+impl MethodUsed {
+    fn new(choice: Option<&plan::Choice<'_>>, nothing: &'static str) -> Self {
+        match choice {
+            Some(choice) => Self { name: Some(choice.engine.name()), reason: choice.reason },
+            None => Self { name: None, reason: nothing },
+        }
+    }
 }
 
 /// Checks sample counts and method names, which the command line can set as well as a scene file.
 ///
 /// # Errors
-/// [`RenderError::Count`], [`RenderError::Method`].
+/// [`RenderError::Count`]; [`RenderError::Query`] for a method that does not exist.
 pub fn check_settings(settings: &Settings) -> Result<(), RenderError> {
     let counts = [
         ("spp", settings.spp),
@@ -90,18 +110,25 @@ pub fn check_settings(settings: &Settings) -> Result<(), RenderError> {
             return Err(RenderError::Count { what, value: (*value).into(), limit: most });
         }
     }
-    crate::method::check_names(settings)
+    selections(settings)?;
+    Ok(())
 }
 
-/// Renders `scene`, whose triangles are in `geometry`, on the threads of the current `rayon` pool.
+/// The methods that the settings name.
+fn selections(settings: &Settings) -> Result<(Selection<ShadowMethod>, Selection<AoMethod>), RenderError> {
+    Ok((settings.shadows.parse()?, settings.ao.parse()?))
+}
+
+/// Renders `scene`, whose triangles are in `occluders`, on the threads of the current `rayon` pool.
 ///
-/// The same bits come out for any number of threads and any partition into shards.
+/// The same bits come out for any number of threads and any partition into shards. `report` gets 0 while structures are made,
+/// then growing fractions that end at exactly 1; it returns `false` to cancel.
 ///
 /// # Errors
-/// [`RenderError::Count`], [`RenderError::Method`], [`RenderError::Image`], [`RenderError::Cancelled`].
+/// [`RenderError::Count`], [`RenderError::Query`], [`RenderError::Image`], [`RenderError::Cancelled`].
 pub fn render(
     scene: &Scene,
-    geometry: &Geometry,
+    occluders: &Occluders,
     options: &RenderOptions,
     report: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<Rendered, RenderError> {
@@ -109,33 +136,25 @@ pub fn render(
     check_settings(settings)?;
     let grid = TileGrid::new(settings.width, settings.height, TILE)?;
     let tiles: Vec<u32> = options.shard.tiles(&grid).map_err(crate::image::ImageError::from)?.collect();
-    let bounds = geometry.bounds();
     let lights: Vec<Light> = scene.lights.iter().map(Light::new).collect();
-    let places: Vec<Vec3> = lights.iter().filter_map(|light| light.place(&bounds)).collect();
-    let samples: f64 = lights.iter().map(|light| f64::from(light.samples(settings.shadow_samples))).sum();
-    let points = f64::from(settings.width) * f64::from(settings.height) * f64::from(settings.spp);
-    let together = samples / lights.len().max(1) as f64;
-    let rays = ShadowRays { lights: &places, count: points * samples, together };
-    let shadows = shadow_method(&settings.shadows, geometry, &rays)?;
-    let sky = scene.ambient.as_ref().map(|ambient| SkyRays {
-        samples: settings.ao_samples,
-        radius: ambient.radius.resolve(geometry.bounds().diagonal()),
-        falloff: ambient.falloff.clone(),
-        seed: settings.seed,
-    });
-    let ambient = ao_method(&settings.ao, geometry, sky.as_ref())?;
+    let shadows = choose_shadows(settings, &lights, occluders, &mut |_| report(0.0))?;
+    let sky = sky_query(scene, occluders);
+    let ambient = match &sky {
+        Some(sky) => Some(plan::sky(selections(settings)?.1, occluders, sky, &mut |_| report(0.0))?),
+        None => None,
+    };
     let mut integrator = Integrator {
         camera: Camera::new(&scene.camera, settings.width, settings.height),
-        geometry,
+        occluders,
         lights,
-        sky: scene.ambient.as_ref().zip(sky.clone()).map(|(ambient, sky)| Sky {
+        sky: scene.ambient.as_ref().zip(sky.as_ref()).map(|(ambient, sky)| Sky {
             radiance: ambient.radiance.into(),
             radius: sky.radius,
-            falloff: sky.falloff,
+            falloff: ambient.falloff.clone(),
         }),
         background: Vec3::from(scene.background),
-        shadows: &*shadows.method,
-        ambient: &*ambient.method,
+        shadows: shadows.as_ref().map(|choice| &*choice.engine),
+        ambient: ambient.as_ref().map(|choice| &*choice.engine),
         spp: settings.spp,
         shadow_samples: settings.shadow_samples,
         ao_samples: settings.ao_samples,
@@ -144,9 +163,9 @@ pub fn render(
         open: Vec::new(),
         width: settings.width,
     };
-    if let (MASK_RASTER, Some(sky)) = (settings.ao.as_str(), &sky) {
-        integrator.open =
-            raster_sky::openness(&integrator, geometry, sky, [settings.width, settings.height])?;
+    if let Some(engine) = integrator.ambient {
+        let size = [settings.width, settings.height];
+        integrator.open = raster_sky::openness(&integrator, engine, size, &mut |_| report(0.0))?;
     }
     let target = Mutex::new(Target::new(settings, options.count_cost)?);
     let progress = Progress::new(tiles.len() as u64, report);
@@ -159,8 +178,11 @@ pub fn render(
         integrator.open_pixels(&places, &mut scratch);
         let pixels: Vec<Pixel> =
             places.into_iter().map(|(x, y)| integrator.pixel(x, y, &mut scratch)).collect();
+        if let Some(error) = scratch.failed.take() {
+            return Err(RenderError::from(error));
+        }
         target.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).put(&tile, &pixels, &scratch);
-        progress.advance(1)
+        Ok(progress.advance(1)?)
     })?;
     progress.finish()?;
     let target = target.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -168,9 +190,40 @@ pub fn render(
         film: target.film,
         rays: target.rays,
         counters: options.count_cost.then_some(target.counters),
-        occluders: shadows.method.prepared(),
-        methods: [shadows, ambient].map(|choice| (choice.method.name(), choice.reason)),
+        occluders: shadows.as_ref().and_then(|choice| choice.engine.prepared()),
+        shadows: MethodUsed::new(shadows.as_ref(), "the scene has no lights"),
+        ao: MethodUsed::new(ambient.as_ref(), "the scene has no ambient light"),
     })
+}
+
+/// The shadow method of a scene, if it has lights.
+fn choose_shadows<'a>(
+    settings: &Settings,
+    lights: &[Light],
+    occluders: &'a Occluders,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<Option<plan::Choice<'a>>, RenderError> {
+    if lights.is_empty() {
+        return Ok(None);
+    }
+    let bounds = occluders.bounds();
+    let places: Vec<Vec3> = lights.iter().filter_map(|light| light.place(&bounds)).collect();
+    let samples: f64 = lights.iter().map(|light| f64::from(light.samples(settings.shadow_samples))).sum();
+    let points = f64::from(settings.width) * f64::from(settings.height) * f64::from(settings.spp);
+    let together = samples / lights.len() as f64;
+    let rays = ShadowRays { lights: &places, count: points * samples, together };
+    Ok(Some(plan::shadows(selections(settings)?.0, occluders, &rays, progress)?))
+}
+
+/// What the ambient rays of a scene have in common, if it has an ambient light.
+fn sky_query(scene: &Scene, occluders: &Occluders) -> Option<SkyQuery> {
+    let (ambient, settings) = (scene.ambient.as_ref()?, &scene.settings);
+    let pattern = PatternOptions::default()
+        .with_rays(settings.ao_samples)
+        .with_falloff(ambient.falloff.clone())
+        .with_seed(settings.seed);
+    let view = SceneKind::of_scene(scene).view;
+    Some(SkyQuery::new(pattern, ambient.radius.resolve(occluders.diagonal())).with_view(view))
 }
 
 struct Target {

@@ -3,7 +3,7 @@
 //! A picture's rates are those of its camera, so shadows and ambient rays see the surface that the camera sees. A bake of a bare
 //! mesh has no camera and divides all faces alike.
 
-use crate::RenderError;
+use crate::query::QueryError;
 use std::sync::Arc;
 use umbrage_geom::{PolygonMesh, TriangleMesh, glam::Vec3};
 use umbrage_reyes::{EyeRates, RatedSurface, Surface, SurfaceError, SurfaceOptions};
@@ -43,13 +43,13 @@ fn at_level(surface: Arc<Surface>, level: u8) -> Result<TriangleMesh, SurfaceErr
 /// their order. Does nothing to other meshes, nor a second time.
 ///
 /// # Errors
-/// [`RenderError::Surface`] for what is wrong with a control mesh or its rate.
-pub fn refine(scene: &mut Scene) -> Result<(), RenderError> {
+/// [`QueryError::Surface`] for what is wrong with a control mesh or its rate.
+pub fn refine(scene: &mut Scene) -> Result<(), QueryError> {
     for index in 0..scene.meshes.len() {
         let Some(subdivision) = scene.meshes[index].subdivision.take() else { continue };
         let mesh = refined(scene, index, &subdivision);
         let named = &mut scene.meshes[index];
-        named.mesh = mesh.map_err(|source| RenderError::Surface { object: named.name.clone(), source })?;
+        named.mesh = mesh.map_err(|source| QueryError::Surface { object: named.name.clone(), source })?;
     }
     Ok(())
 }
@@ -76,14 +76,14 @@ fn refined(scene: &Scene, index: usize, subdivision: &Subdivision) -> Result<Tri
 /// `settings` changes the scene's settings before rates are chosen.
 ///
 /// # Errors
-/// [`RenderError::Surface`] for what is wrong with the control mesh, or an edge length that is not positive.
+/// [`QueryError::Surface`] for what is wrong with the control mesh, or an edge length that is not positive.
 pub fn scene_around(
     name: &str,
     control: &PolygonMesh,
     pixels: f32,
     settings: impl FnOnce(&mut Settings),
-) -> Result<Scene, RenderError> {
-    let failed = |source| RenderError::Surface { object: name.into(), source };
+) -> Result<Scene, QueryError> {
+    let failed = |source| QueryError::Surface { object: name.into(), source };
     let rough = mesh_at_level(control, ROUGH_LEVEL).map_err(failed)?;
     let mut scene = Scene::around_mesh(name, rough, Ground::Plane).map_err(|e| failed(e.into()))?;
     settings(&mut scene.settings);

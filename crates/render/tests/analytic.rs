@@ -2,8 +2,8 @@
 
 use umbrage_geom::{TriangleMesh, glam::Affine3A};
 use umbrage_render::{
-    geometry::Geometry,
     image::{Film, ShardSpec},
+    query::Occluders,
     render::{RenderOptions, render},
 };
 use umbrage_scene::{
@@ -66,8 +66,8 @@ fn sphere(radius: f32, height: f32) -> TriangleMesh {
 }
 
 fn film(scene: &Scene) -> Film {
-    let geometry = Geometry::build(scene).unwrap();
-    render(scene, &geometry, &RenderOptions::default(), &mut |_| true).unwrap().film
+    let occluders = Occluders::of_scene(scene, &mut |_| true).unwrap();
+    render(scene, &occluders, &RenderOptions::default(), &mut |_| true).unwrap().film
 }
 
 fn value(film: &Film, layer: &str) -> f32 {
@@ -179,11 +179,11 @@ fn threads_and_shards_do_not_change_a_bit() {
         falloff: umbrage_geom::Falloff::Quadratic,
     });
     add(&mut scene, sphere(0.4, 0.4), 1);
-    let geometry = Geometry::build(&scene).unwrap();
+    let occluders = Occluders::of_scene(&scene, &mut |_| true).unwrap();
     let with = |threads: usize, shard: ShardSpec| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let options = RenderOptions::default().with_count_cost(true).with_shard(shard);
-        pool.install(|| render(&scene, &geometry, &options, &mut |_| true)).unwrap().film
+        pool.install(|| render(&scene, &occluders, &options, &mut |_| true)).unwrap().film
     };
     let whole = with(1, ShardSpec::WHOLE);
     assert!(whole.same_bits(&with(2, ShardSpec::WHOLE)));
@@ -213,17 +213,17 @@ fn instances_show_the_same_picture_as_copies() {
         let name = format!("copy{i}");
         scene.instances.push(Instance { name, mesh: 1, world_from_object, materials: materials.clone() });
     }
-    let instanced = Geometry::build(&scene).unwrap();
+    let instanced = Occluders::of_scene(&scene, &mut |_| true).unwrap();
     assert!(instanced.is_instanced());
     let mut copied = scene.clone();
     copied.meshes = vec![NamedMesh::new("all", scene.flatten())];
     let objects = copied.meshes[0].mesh.objects.len();
     copied.instances.truncate(1);
     copied.instances[0].materials = vec![0; objects];
-    let flat = Geometry::build(&copied).unwrap();
+    let flat = Occluders::of_scene(&copied, &mut |_| true).unwrap();
     assert!(!flat.is_instanced());
-    let film = |scene: &Scene, geometry: &Geometry| {
-        render(scene, geometry, &RenderOptions::default(), &mut |_| true).unwrap().film
+    let film = |scene: &Scene, occluders: &Occluders| {
+        render(scene, occluders, &RenderOptions::default(), &mut |_| true).unwrap().film
     };
     let (a, b) = (film(&scene, &instanced), film(&copied, &flat));
     // Rounding of the transforms moves single samples across silhouettes, no more.
@@ -235,7 +235,7 @@ fn instances_show_the_same_picture_as_copies() {
 #[test]
 fn cancelling_gives_no_picture() {
     let scene = floor_scene();
-    let geometry = Geometry::build(&scene).unwrap();
-    let result = render(&scene, &geometry, &RenderOptions::default(), &mut |_| false);
+    let occluders = Occluders::of_scene(&scene, &mut |_| true).unwrap();
+    let result = render(&scene, &occluders, &RenderOptions::default(), &mut |_| false);
     assert!(matches!(result, Err(umbrage_render::RenderError::Cancelled)));
 }

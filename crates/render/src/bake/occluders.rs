@@ -3,7 +3,7 @@
 use super::{BakeError, Sides};
 use crate::{
     far::{FarCones, FarOpacity},
-    method::AO_THRESHOLD,
+    query::engine::prefilter::AO_THRESHOLD,
 };
 use umbrage_accel::{BuildOptions, Bvh};
 use umbrage_aomask::{MaskOptions, Pattern, PatternOptions};

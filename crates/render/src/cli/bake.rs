@@ -1,7 +1,6 @@
 //! `umbrage bake`
 
-use super::{Interrupted, is_mesh, progress::Bar, thread_pool};
-use crate::method::mask_rays;
+use super::{Interrupted, is_mesh, methods, progress::Bar, thread_pool};
 use crate::{
     bake::{
         BakeError, BakeOptions, Ground, MaskExtras, MaskMethod, NormalSource, Occluders, Receivers, Shard,
@@ -10,6 +9,7 @@ use crate::{
     baked::{Baked, Surface, check_part_extension},
     fingerprint::Fingerprint,
     image::{ShardError, ShardSpec},
+    query::{AoMethod, SceneKind, Selection, View, plan},
 };
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::json;
@@ -32,8 +32,8 @@ pub struct BakeArguments {
     #[arg(long, value_name = "LEVEL", num_args = 0..=1, require_equals = true, default_missing_value = "3")]
     subdivide: Option<u8>,
     /// How occlusion is computed.
-    #[arg(long, value_enum, default_value = "auto")]
-    method: Method,
+    #[arg(long, value_name = "METHOD", default_value = "auto", value_parser = methods::parser::<AoMethod>())]
+    method: Selection<AoMethod>,
     /// Rays from each receiver.
     #[arg(long, value_name = "N", default_value_t = 256)]
     rays: u32,
@@ -95,51 +95,13 @@ pub struct BakeArguments {
     stats: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Method {
-    /// Masks, or single rays for numbers of rays that masks can't have.
-    Auto,
-    /// All rays of a receiver as one bit mask, exactly. 32 to 1024 rays, a multiple of 32.
-    Mask,
-    /// Exact single rays.
-    Rays,
-    /// Rays that end at prefiltered nodes: approximate, for foliage and hair.
-    Prefilter,
-    /// Masks for what is near, stored opacity beyond: approximate, for foliage and hair. 32 to 1024 rays, a multiple of 32.
-    MaskPrefilter,
-    /// All rays of a receiver as one bit mask, from tables: approximate. 32 to 1024 rays, a multiple of 32.
-    MaskTable,
-}
-
-impl Method {
-    /// What is used for `rays` rays: masks serve every mesh.
-    fn resolve(self, rays: u32) -> Self {
-        match self {
-            Self::Auto if mask_rays(rays) => Self::Mask,
-            Self::Auto => Self::Rays,
-            other => other,
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Mask => "mask",
-            Self::Rays => "rays",
-            Self::Prefilter => "prefilter",
-            Self::MaskPrefilter => "mask-prefilter",
-            Self::MaskTable => "mask-table",
-        }
-    }
-
-    /// The form of masks, if this is a method with masks.
-    fn mask(self) -> Option<MaskMethod> {
-        match self {
-            Self::Mask => Some(MaskMethod::Exact),
-            Self::MaskPrefilter => Some(MaskMethod::Prefilter),
-            Self::MaskTable => Some(MaskMethod::Table),
-            Self::Auto | Self::Rays | Self::Prefilter => None,
-        }
+/// The form of masks, if `method` is one with masks.
+fn mask_method(method: AoMethod) -> Option<MaskMethod> {
+    match method {
+        AoMethod::Mask => Some(MaskMethod::Exact),
+        AoMethod::MaskPrefilter => Some(MaskMethod::Prefilter),
+        AoMethod::MaskTable => Some(MaskMethod::Table),
+        AoMethod::MaskRaster | AoMethod::Rays | AoMethod::Prefilter => None,
     }
 }
 
@@ -253,12 +215,14 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
         arguments.points.is_none() || arguments.per == Per::Vertex,
         "--points and --per texel exclude each other"
     );
-    let method = arguments.method.resolve(arguments.rays);
+    let method = plan::sky_of_one_mesh(arguments.method, arguments.rays);
+    // Occluders are one mesh; whether they are opaque isn't known yet.
+    method.check(&SceneKind { opaque: true, instances_apart: false, view: View::NoCamera })?;
     for (given, name) in
         [(arguments.dump_rays.is_some(), "--dump-rays"), (arguments.bent_normals, "--bent-normals")]
     {
         ensure!(
-            !given || method.mask().is_some(),
+            !given || mask_method(method).is_some(),
             "{name} needs a method with masks: --method mask or mask-table, with 32 to 1024 rays, a multiple of 32"
         );
     }
@@ -350,9 +314,10 @@ fn bake_and_write(
     let ground = if arguments.ground { Ground::Below } else { Ground::Absent };
     let meshes: Vec<&TriangleMesh> = std::iter::once(&input.mesh).chain(&input.occluders).collect();
     let mut occluders = Occluders::build(&meshes, ground).with_context(source)?;
-    match arguments.method {
-        Method::Prefilter => occluders = occluders.prefiltered().with_context(source)?,
-        Method::MaskPrefilter => match occluders.with_far_opacity(&mut |_| bar.check().is_ok()) {
+    let method = plan::sky_of_one_mesh(arguments.method, options.rays);
+    match method {
+        AoMethod::Prefilter => occluders = occluders.prefiltered().with_context(source)?,
+        AoMethod::MaskPrefilter => match occluders.with_far_opacity(&mut |_| bar.check().is_ok()) {
             Ok(with_far) => occluders = with_far,
             Err(BakeError::Cancelled) => return Err(Interrupted.into()),
             Err(other) => return Err(other).with_context(source),
@@ -366,12 +331,11 @@ fn bake_and_write(
     let part = Shard { index: shard.index() - 1, count: shard.count() };
     let mut report = |f| bar.report(f);
     let mut bent = arguments.bent_normals.then(|| vec![[0.0; 3]; receivers.len()]);
-    let method = arguments.method.resolve(options.rays);
     let mut by_masks = |masks: MaskMethod, dump: Option<&mut dyn Write>| {
         let extras = MaskExtras { dump, bent_normals: bent.as_deref_mut() };
         bake_masks(&occluders, &receivers, options, masks, part, &mut ao, extras, &mut report)
     };
-    let result = match (method.mask(), &arguments.dump_rays) {
+    let result = match (mask_method(method), &arguments.dump_rays) {
         (Some(masks), None) => by_masks(masks, None),
         (Some(masks), Some(path)) => {
             let mut failure = None;
@@ -440,7 +404,7 @@ fn fingerprint(
     if let Surface::Points { positions, normals } = &baked.surface {
         fingerprint.words(positions.iter().chain(normals).flatten().map(|x| x.to_bits()));
     }
-    let method = arguments.method.resolve(options.rays).name();
+    let method = plan::sky_of_one_mesh(arguments.method, options.rays);
     let all = format!("{options:?} {:?} {} {method}", arguments.normal_source(), arguments.ground);
     fingerprint.bytes(all.as_bytes());
     fingerprint.finish()

@@ -1,9 +1,10 @@
 //! The command line of `umbrage`.
 //!
-//! Exit codes: 0 done, 1 an internal failure, 2 bad input or usage, 130 interrupted.
+//! Exit codes: 0 done, 1 the threshold of `compare` exceeded, 2 bad input or usage, 130 interrupted.
 
 mod bake;
 mod merge;
+mod methods;
 mod progress;
 mod render;
 mod tools;

@@ -1,12 +1,12 @@
 //! `umbrage render`
 
-use super::{Interrupted, is_mesh, progress::Bar, thread_pool};
+use super::{Interrupted, is_mesh, methods, progress::Bar, thread_pool};
 use crate::{
     RenderError,
     fingerprint::Fingerprint,
-    geometry::Geometry,
     image::{self, ColorMap, Part, ShardSpec, names},
-    render::{RenderOptions, Rendered, TILE, check_settings, render},
+    query::{AoMethod, Made, Occluders, Selection, ShadowMethod},
+    render::{MethodUsed, RenderOptions, Rendered, TILE, check_settings, render},
     subdivide,
 };
 use anyhow::{Context, Result};
@@ -33,12 +33,12 @@ pub struct RenderArguments {
     /// SCENE is an .obj control mesh of a Catmull-Clark surface, creases included: micropolygons of about so many pixels.
     #[arg(long, value_name = "PIXELS", num_args = 0..=1, require_equals = true, default_missing_value = "1")]
     subdivide: Option<f32>,
-    /// Shadow method [auto, bvh, prefilter].
-    #[arg(long, value_name = "METHOD")]
-    shadows: Option<String>,
-    /// Ambient occlusion method [auto, rays, prefilter].
-    #[arg(long, value_name = "METHOD")]
-    ao: Option<String>,
+    /// How rays to lights are answered.
+    #[arg(long, value_name = "METHOD", value_parser = methods::parser::<ShadowMethod>())]
+    shadows: Option<Selection<ShadowMethod>>,
+    /// How the openness of the sky is answered.
+    #[arg(long, value_name = "METHOD", value_parser = methods::parser::<AoMethod>())]
+    ao: Option<Selection<AoMethod>>,
     /// Camera samples a pixel.
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
@@ -142,8 +142,12 @@ fn override_settings(settings: &mut Settings, arguments: &RenderArguments) {
         (settings.width, settings.height) = (size.width, size.height);
     }
     settings.spp = arguments.spp.unwrap_or(settings.spp);
-    settings.shadows.clone_from(arguments.shadows.as_ref().unwrap_or(&settings.shadows.clone()));
-    settings.ao.clone_from(arguments.ao.as_ref().unwrap_or(&settings.ao.clone()));
+    if let Some(method) = arguments.shadows {
+        settings.shadows = method.to_string();
+    }
+    if let Some(method) = arguments.ao {
+        settings.ao = method.to_string();
+    }
 }
 
 fn render_and_write(
@@ -154,7 +158,9 @@ fn render_and_write(
     load_s: f64,
 ) -> Result<()> {
     let start = Instant::now();
-    let geometry = Geometry::build(scene).with_context(|| arguments.scene.display().to_string())?;
+    let source = || arguments.scene.display().to_string();
+    let occluders =
+        Occluders::of_scene(scene, &mut |_| bar.report(0.0)).map_err(interrupted).with_context(source)?;
     let build_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let is_exr = image::Format::of(output)? == image::Format::Exr;
@@ -163,11 +169,7 @@ fn render_and_write(
         .with_shard(arguments.shard.unwrap_or(ShardSpec::WHOLE))
         .with_count_cost(count_cost);
     let start = Instant::now();
-    let rendered =
-        render(scene, &geometry, &options, &mut |f| bar.report(f)).map_err(|error| match error {
-            RenderError::Cancelled => anyhow::Error::new(Interrupted),
-            other => anyhow::Error::new(other),
-        })?;
+    let rendered = render(scene, &occluders, &options, &mut |f| bar.report(f)).map_err(interrupted)?;
     let render_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let exposure = scene.settings.exposure;
@@ -185,10 +187,18 @@ fn render_and_write(
     }
     if let Some(path) = &arguments.stats {
         let times = [load_s, build_s, render_s];
-        write_stats(path, arguments, scene, &geometry, &rendered, times)?;
+        write_stats(path, arguments, scene, &occluders, &rendered, times)?;
     }
     bar.finish();
     Ok(())
+}
+
+/// What a cancelled call means to the user.
+fn interrupted(error: impl Into<RenderError>) -> anyhow::Error {
+    match error.into() {
+        RenderError::Cancelled => Interrupted.into(),
+        other => other.into(),
+    }
 }
 
 /// The keys are documented in `docs/command-line.md`; scripts depend on them.
@@ -196,15 +206,22 @@ fn write_stats(
     path: &Path,
     arguments: &RenderArguments,
     scene: &Scene,
-    geometry: &Geometry,
+    occluders: &Occluders,
     rendered: &Rendered,
     [load_s, build_s, render_s]: [f64; 3],
 ) -> Result<()> {
     let settings = &scene.settings;
     let rays = rendered.rays;
     let total = rays.camera + rays.shadow + rays.ambient;
-    let (structure_bytes, geometry_bytes) = geometry.bytes();
-    let methods = rendered.methods.map(|(name, reason)| json!({ "method": name, "reason": reason }));
+    let (structure_bytes, geometry_bytes) = occluders.bytes();
+    let method = |used: MethodUsed| json!({ "method": used.name, "reason": used.reason });
+    let made =
+        |made: Made| json!({ "build_s": made.time.map(|time| time.as_secs_f64()), "bytes": made.bytes });
+    let structures: serde_json::Map<_, _> = occluders
+        .structures()
+        .into_iter()
+        .map(|(structure, how)| (structure.name().into(), json!(how.map(made))))
+        .collect();
     let stats = json!({
         "umbrage": env!("CARGO_PKG_VERSION"),
         "scene": arguments.scene.display().to_string(),
@@ -215,12 +232,13 @@ fn write_stats(
         "shadow_samples": settings.shadow_samples,
         "ao_samples": settings.ao_samples,
         "seed": settings.seed,
-        "shadows": methods[0],
-        "ao": methods[1],
-        "triangles": geometry.triangle_count(),
-        "instanced": geometry.is_instanced(),
+        "shadows": method(rendered.shadows),
+        "ao": method(rendered.ao),
+        "triangles": occluders.triangle_count(),
+        "instanced": occluders.is_instanced(),
         "structure_bytes": structure_bytes,
         "geometry_bytes": geometry_bytes,
+        "structures": structures,
         "threads": rayon::current_num_threads(),
         "load_s": load_s,
         "build_s": build_s,

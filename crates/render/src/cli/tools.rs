@@ -3,7 +3,7 @@
 use super::is_mesh;
 use crate::{
     compare::{CompareOptions, DifferencePicture, compare as compare_films, read_two, write_difference},
-    inspect::{inspect_mesh, inspect_scene},
+    inspect::{inspect_mesh_for_methods, inspect_scene_for_methods},
 };
 use anyhow::{Context, Result};
 use serde::Serialize;
@@ -14,7 +14,7 @@ use std::{
 };
 use umbrage_scene::{Scene, generate, read_mesh, write_atomically};
 
-/// Shows bounds, counts, memory, and what is wrong with the triangles of a mesh or scene.
+/// Shows bounds, counts, memory, what is wrong with the triangles of a mesh or scene, and which methods fit it.
 #[derive(clap::Args)]
 pub struct InspectArguments {
     /// Mesh (.obj, .ply, .gltf, .glb) or scene (.toml).
@@ -65,11 +65,11 @@ pub struct ScenesArguments {
 
 pub fn inspect(arguments: &InspectArguments) -> Result<ExitCode> {
     if is_mesh(&arguments.input) {
-        print(&inspect_mesh(&read_mesh(&arguments.input)?), arguments.json)
+        print(&inspect_mesh_for_methods(&read_mesh(&arguments.input)?), arguments.json)
     } else {
         let mut scene = Scene::load(&arguments.input)?;
         crate::subdivide::refine(&mut scene).with_context(|| arguments.input.display().to_string())?;
-        print(&inspect_scene(&scene), arguments.json)
+        print(&inspect_scene_for_methods(&scene), arguments.json)
     }
 }
 

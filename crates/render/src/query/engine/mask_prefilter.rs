@@ -1,0 +1,71 @@
+//! Method `mask-prefilter`: masks for what is near, stored opacity for what is far. Approximate.
+
+use super::{Answers, Engine, Report, Sky, one_mesh};
+use crate::{
+    far::FarOpacity,
+    query::{AoMethod, Occluders, QueryError},
+};
+use std::sync::Arc;
+use umbrage_accel::Bvh;
+use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides, coarse, exact};
+
+pub(super) struct MaskPrefilter<'a> {
+    bvh: &'a Bvh,
+    pattern: Pattern,
+    options: MaskOptions,
+    far: Arc<FarOpacity>,
+    /// Where stored opacity begins, world units; `None` if it would begin too far away to be of use.
+    near: Option<f32>,
+}
+
+impl<'a> MaskPrefilter<'a> {
+    pub(super) fn build(
+        occluders: &'a Occluders,
+        sky: &Sky,
+        progress: Report<'_>,
+    ) -> Result<Self, QueryError> {
+        let method = AoMethod::MaskPrefilter.name();
+        if sky.sides != Sides::Both {
+            let reason = "stored opacity blocks from both sides";
+            return Err(QueryError::Unsupported { method, reason });
+        }
+        let bvh = one_mesh(method, occluders.flat())?;
+        let (pattern, options) = sky.masks()?;
+        let far = one_mesh(method, occluders.far_opacity(progress)?)?;
+        let near = far.near(bvh, &pattern, &sky.pattern, &options)?;
+        Ok(Self { bvh, pattern, options, far, near })
+    }
+}
+
+impl Engine for MaskPrefilter<'_> {
+    fn name(&self) -> &'static str {
+        AoMethod::MaskPrefilter.name()
+    }
+
+    fn answers(&self) -> Answers {
+        Answers::Receivers
+    }
+
+    fn note(&self) -> Option<&'static str> {
+        match self.near {
+            Some(_) => None,
+            None => Some("stored opacity would err too much within the radius, so all rays are exact"),
+        }
+    }
+
+    fn sky(
+        &self,
+        receivers: &[Receiver],
+        outputs: Outputs<'_>,
+        progress: Report<'_>,
+    ) -> Result<(), QueryError> {
+        let (Self { bvh, pattern, options, .. }, best) = (self, BackEnd::best());
+        if let Some(near) = self.near {
+            let far = self.far.cones(pattern.len(), near, options.radius)?;
+            coarse::answer_receivers(bvh, &far, pattern, receivers, options, best, outputs, progress)?;
+        } else {
+            exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,40 @@
+//! Method `mask-table`: masks of triangles from tables. Approximate.
+
+use super::{Answers, Engine, Report, Sky, one_mesh};
+use crate::query::{AoMethod, Occluders, QueryError};
+use umbrage_accel::Bvh;
+use umbrage_aomask::{MaskOptions, MaskTables, Outputs, Receiver};
+
+pub(super) struct MaskTable<'a> {
+    bvh: &'a Bvh,
+    tables: Box<MaskTables>,
+    options: MaskOptions,
+}
+
+impl<'a> MaskTable<'a> {
+    pub(super) fn build(occluders: &'a Occluders, sky: &Sky) -> Result<Self, QueryError> {
+        let bvh = one_mesh(AoMethod::MaskTable.name(), occluders.flat())?;
+        let (pattern, options) = sky.masks()?;
+        let tables = occluders.mask_tables(pattern)?;
+        Ok(Self { bvh, tables, options })
+    }
+}
+
+impl Engine for MaskTable<'_> {
+    fn name(&self) -> &'static str {
+        AoMethod::MaskTable.name()
+    }
+
+    fn answers(&self) -> Answers {
+        Answers::Receivers
+    }
+
+    fn sky(
+        &self,
+        receivers: &[Receiver],
+        outputs: Outputs<'_>,
+        progress: Report<'_>,
+    ) -> Result<(), QueryError> {
+        Ok(self.tables.answer_receivers(self.bvh, receivers, &self.options, outputs, progress)?)
+    }
+}

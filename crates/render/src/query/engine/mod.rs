@@ -1,0 +1,238 @@
+//! The engines: what each method does with rays, receivers or images.
+//!
+//! One file an engine. Its name in [`AoMethod`] or [`ShadowMethod`] and its arm in [`shadows`] or [`sky`] are all that the rest of
+//! the workspace sees of it.
+
+mod kd;
+mod mask;
+mod mask_prefilter;
+mod mask_raster;
+mod mask_table;
+pub(crate) mod prefilter;
+mod rays;
+mod solid;
+
+use super::{AoMethod, Occluders, QueryError, SceneKind, ShadowMethod, View};
+use umbrage_accel::Counters;
+use umbrage_aomask::{MaskOptions, Outputs, Pattern, PatternOptions, RasterView, Receiver, Sides};
+use umbrage_geom::Ray;
+use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
+
+/// A callback that gets growing fractions and returns `false` to cancel.
+pub type Report<'r> = &'r mut (dyn FnMut(f32) -> bool + Send);
+
+/// One sample of a light or of the sky, seen from a receiver.
+#[derive(Clone, Copy, Debug)]
+pub struct LightRay {
+    /// Segment from the receiver to the sample. Rays of one batch share their origin.
+    pub ray: Ray,
+    /// Solid angle that the sample stands for, steradians; 0 for point lights.
+    pub solid_angle: f32,
+}
+
+/// What an engine answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answers {
+    /// Rays that the caller chooses: [`Engine::transmittances`].
+    Rays,
+    /// Receivers, whose rays the engine chooses: [`Engine::sky`].
+    Receivers,
+    /// All receivers of an image: [`Engine::image`].
+    Images,
+}
+
+/// A method at work on some occluders.
+///
+/// Engines answer the calls that [`Self::answers`] names; others are [`QueryError::Unsupported`].
+pub trait Engine: Sync {
+    /// The method's name.
+    fn name(&self) -> &'static str;
+
+    /// Which call it answers.
+    fn answers(&self) -> Answers {
+        Answers::Rays
+    }
+
+    /// Writes the fraction of light that passes along each ray; counts into `counters` if there are any. All go to the light of
+    /// index `light`, or to the sky.
+    ///
+    /// # Errors
+    /// [`QueryError::Unsupported`] unless [`Self::answers`] is [`Answers::Rays`].
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        light: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    ) -> Result<(), QueryError> {
+        let _ = (rays, light, passed, counters);
+        Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer single rays" })
+    }
+
+    /// Answers how open the sky is over each receiver.
+    ///
+    /// # Errors
+    /// [`QueryError::Unsupported`] unless [`Self::answers`] is [`Answers::Receivers`]; [`QueryError::Mask`];
+    /// [`QueryError::Cancelled`].
+    fn sky(
+        &self,
+        receivers: &[Receiver],
+        outputs: Outputs<'_>,
+        progress: Report<'_>,
+    ) -> Result<(), QueryError> {
+        let _ = (receivers, outputs, progress);
+        Err(QueryError::Unsupported { method: self.name(), reason: "it does not choose rays for receivers" })
+    }
+
+    /// Answers how open the sky is over all receivers of an image; `seed` chooses the patterns' turns.
+    ///
+    /// # Errors
+    /// [`QueryError::Unsupported`] unless [`Self::answers`] is [`Answers::Images`]; [`QueryError::Mask`];
+    /// [`QueryError::Cancelled`].
+    fn image(
+        &self,
+        view: &RasterView<'_>,
+        seed: u32,
+        outputs: Outputs<'_>,
+        progress: Report<'_>,
+    ) -> Result<(), QueryError> {
+        let _ = (view, seed, outputs, progress);
+        Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer whole images" })
+    }
+
+    /// What was made of the occluders so far, by engines that make it when rays come near.
+    fn prepared(&self) -> Option<Prepared> {
+        None
+    }
+
+    /// What else there is to say of how it answers.
+    fn note(&self) -> Option<&'static str> {
+        None
+    }
+}
+
+/// What the ambient rays of all receivers have in common.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Sky {
+    /// Rays of a receiver, how occluders fade, seed and jitter.
+    pub pattern: PatternOptions,
+    /// How far occluders count, world units; may be infinite.
+    pub radius: f32,
+    /// Which sides of triangles block.
+    pub sides: Sides,
+    /// From where receivers are seen.
+    pub view: View,
+}
+
+impl Sky {
+    /// Both sides block, and receivers are given as points.
+    pub fn new(pattern: PatternOptions, radius: f32) -> Self {
+        Self { pattern, radius, sides: Sides::Both, view: View::NoCamera }
+    }
+
+    /// Sets [`Self::sides`].
+    #[must_use]
+    pub fn with_sides(self, sides: Sides) -> Self {
+        Self { sides, ..self }
+    }
+
+    /// Sets [`Self::view`].
+    #[must_use]
+    pub fn with_view(self, view: View) -> Self {
+        Self { view, ..self }
+    }
+
+    fn options(&self) -> MaskOptions {
+        MaskOptions::default().with_radius(self.radius).with_sides(self.sides)
+    }
+
+    /// The pattern and the options of masks, checked.
+    fn masks(&self) -> Result<(Pattern, MaskOptions), QueryError> {
+        let (pattern, options) = (Pattern::new(&self.pattern)?, self.options());
+        options.validate(&pattern)?;
+        Ok((pattern, options))
+    }
+}
+
+/// Whether masks can have so many rays.
+pub fn mask_rays(rays: u32) -> bool {
+    (32..=Pattern::MAX_RAYS).contains(&rays) && rays.is_multiple_of(32)
+}
+
+/// The engine of a shadow method.
+///
+/// # Errors
+/// [`QueryError::Unsupported`] with the reason; [`QueryError::Build`], [`QueryError::Prefilter`], [`QueryError::Cancelled`] of
+/// the structures that are made for it.
+pub fn shadows<'a>(
+    method: ShadowMethod,
+    occluders: &'a Occluders,
+    progress: Report<'_>,
+) -> Result<Box<dyn Engine + 'a>, QueryError> {
+    method.check(&occluders.kind(View::NoCamera))?;
+    Ok(match method {
+        ShadowMethod::Bvh => Box::new(rays::Rays::new(method.name(), occluders, Sides::Both)),
+        ShadowMethod::Kd
+        | ShadowMethod::KdVolumetric
+        | ShadowMethod::KdVolumetricRay
+        | ShadowMethod::KdVolumetricExtended
+        | ShadowMethod::KdVolumetricBreadth
+        | ShadowMethod::KdVolumetricQuick
+        | ShadowMethod::KdVolumetricSolid => Box::new(kd::Kd::build(method, occluders, progress)?),
+        ShadowMethod::BvhVolumetric => Box::new(solid::Solid::new(occluders)?),
+        ShadowMethod::Prefilter => {
+            Box::new(prefilter::Prefilter::build(occluders, prefilter::SHADOW_THRESHOLD, progress)?)
+        }
+    })
+}
+
+/// `bvh-volumetric`, built, if the shadow `rays` are expected to gain by it.
+pub(crate) fn solid_where_it_pays<'a>(
+    occluders: &'a Occluders,
+    rays: &ShadowRays,
+) -> Option<Box<dyn Engine + 'a>> {
+    Some(Box::new(solid::Solid::where_it_pays(occluders, rays)?))
+}
+
+/// The engine of an ambient occlusion method.
+///
+/// # Errors
+/// [`QueryError::Unsupported`] with the reason; [`QueryError::Mask`], [`QueryError::Prefilter`], [`QueryError::Cancelled`] of the
+/// structures that are made for it.
+pub fn sky<'a>(
+    method: AoMethod,
+    occluders: &'a Occluders,
+    sky: &Sky,
+    progress: Report<'_>,
+) -> Result<Box<dyn Engine + 'a>, QueryError> {
+    let kind: SceneKind = occluders.kind(sky.view);
+    method.check(&kind)?;
+    Ok(match method {
+        AoMethod::Rays if sky.sides != Sides::Both && kind.instances_apart => {
+            let reason = "sides other than both need instances in one mesh";
+            return Err(QueryError::Unsupported { method: method.name(), reason });
+        }
+        AoMethod::Rays if sky.sides == Sides::FrontFirst && !kind.opaque => {
+            let reason = "some triangles are semi-transparent, and fronts before any back need opaque ones";
+            return Err(QueryError::Unsupported { method: method.name(), reason });
+        }
+        AoMethod::Rays => Box::new(rays::Rays::new(method.name(), occluders, sky.sides)),
+        AoMethod::Mask => Box::new(mask::Mask::build(occluders, sky)?),
+        AoMethod::MaskPrefilter => Box::new(mask_prefilter::MaskPrefilter::build(occluders, sky, progress)?),
+        AoMethod::MaskTable => Box::new(mask_table::MaskTable::build(occluders, sky)?),
+        AoMethod::MaskRaster => Box::new(mask_raster::MaskRaster::build(occluders, sky)?),
+        AoMethod::Prefilter if sky.sides != Sides::Both => {
+            let reason = "prefiltered occluders block from both sides";
+            return Err(QueryError::Unsupported { method: method.name(), reason });
+        }
+        AoMethod::Prefilter => {
+            Box::new(prefilter::Prefilter::build(occluders, prefilter::AO_THRESHOLD, progress)?)
+        }
+    })
+}
+
+/// The parts of occluders in one mesh, which [`super::Needs::one_mesh`] has made sure of.
+fn one_mesh<T>(method: &'static str, part: Option<T>) -> Result<T, QueryError> {
+    part.ok_or(QueryError::Unsupported { method, reason: "instances are kept apart" })
+}

@@ -1,0 +1,148 @@
+//! Method `bvh-volumetric`: rays through the wide BVH that also end at boxes inside of solids. Exact.
+//!
+//! Each object gets its boxes when the first ray comes near it (Djeu11, section 4.8.5); instances share those of their mesh.
+
+use super::{Engine, LightRay, one_mesh};
+use crate::query::{Occluders, QueryError, ShadowMethod, Structure, occluders::solids};
+use std::sync::{Arc, Mutex};
+use umbrage_accel::{Bvh, Counters};
+use umbrage_geom::{Ray, TriangleMesh};
+use umbrage_occlusion::volumetric::{
+    Ends, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidCounters,
+    SolidInstances, SolidInstancesScratch,
+};
+
+pub(super) enum Solid<'a> {
+    OneMesh(OneMesh<'a>),
+    Instances(Instances<'a>),
+}
+
+pub(super) struct OneMesh<'a> {
+    solid: Box<LazySolidBvh<'a>>,
+    /// What threads keep between calls.
+    scratch: Mutex<Vec<LazyScratch>>,
+}
+
+pub(super) struct Instances<'a> {
+    solid: SolidInstances<'a>,
+    /// What threads keep between calls.
+    scratch: Mutex<Vec<SolidInstancesScratch>>,
+}
+
+fn lazy<'a>(bvh: &Arc<Bvh>, mesh: &'a TriangleMesh) -> LazySolidBvh<'a> {
+    let options = SolidBvhOptions::default();
+    LazySolidBvh::new(bvh.clone(), &mesh.positions, &mesh.triangles, &solids(mesh), &options)
+}
+
+fn take<T>(kept: &Mutex<Vec<T>>) -> Option<T> {
+    kept.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop()
+}
+
+fn give<T>(kept: &Mutex<Vec<T>>, scratch: T) {
+    kept.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(scratch);
+}
+
+fn fraction(blocked: bool) -> f32 {
+    f32::from(u8::from(!blocked))
+}
+
+impl<'a> Solid<'a> {
+    pub(super) fn new(occluders: &'a Occluders) -> Result<Self, QueryError> {
+        occluders.note(Structure::SolidBoxes, None, None);
+        if let Some(top) = occluders.instances() {
+            let meshes = top.bvhs().iter().zip(occluders.meshes());
+            let solid = SolidInstances::new(top, meshes.map(|(bvh, mesh)| lazy(bvh, mesh)).collect());
+            return Ok(Self::Instances(Instances { solid, scratch: Mutex::default() }));
+        }
+        let name = ShadowMethod::BvhVolumetric.name();
+        let (bvh, mesh) = one_mesh(name, occluders.flat_opaque())?;
+        Ok(Self::OneMesh(OneMesh { solid: Box::new(lazy(bvh, mesh)), scratch: Mutex::default() }))
+    }
+
+    /// With all boxes made, for occluders whose shadow `rays` are expected to gain by them.
+    pub(super) fn where_it_pays(occluders: &'a Occluders, rays: &ShadowRays) -> Option<Self> {
+        let (bvh, mesh) = occluders.flat_opaque()?;
+        let (positions, triangles) = (&mesh.positions, &mesh.triangles);
+        let options = SolidBvhOptions::default();
+        let start = std::time::Instant::now();
+        let solid = SolidBvh::build_if_it_pays(bvh, positions, triangles, &solids(mesh), rays, &options)?;
+        let own_bytes = solid.bytes().saturating_sub(bvh.bytes());
+        occluders.note(Structure::SolidBoxes, Some(start.elapsed()), Some(own_bytes));
+        let solid = Box::new(LazySolidBvh::ready(solid));
+        Some(Self::OneMesh(OneMesh { solid, scratch: Mutex::default() }))
+    }
+}
+
+impl Engine for Solid<'_> {
+    fn name(&self) -> &'static str {
+        ShadowMethod::BvhVolumetric.name()
+    }
+
+    fn prepared(&self) -> Option<Prepared> {
+        Some(match self {
+            Self::OneMesh(part) => part.solid.prepared(),
+            Self::Instances(part) => part.solid.prepared(),
+        })
+    }
+
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        light: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    ) -> Result<(), QueryError> {
+        match self {
+            Self::OneMesh(part) => part.transmittances(rays, light, passed, counters),
+            Self::Instances(part) => part.transmittances(rays, passed, counters),
+        }
+        Ok(())
+    }
+}
+
+impl OneMesh<'_> {
+    fn transmittances(
+        &self,
+        rays: &[LightRay],
+        light: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+    ) {
+        let solid = &self.solid;
+        let mut scratch = take(&self.scratch).unwrap_or_else(|| solid.scratch());
+        if let Some(counters) = counters {
+            let mut counted = SolidCounters::default();
+            for (to_light, out) in rays.iter().zip(passed) {
+                let ray = &to_light.ray;
+                let hit = solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, &mut counted);
+                *out = fraction(hit);
+            }
+            *counters += counted.walk;
+        } else {
+            let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
+            let mut hits = vec![false; rays.len()];
+            solid.any_hits(&rays, &mut hits, Ends::Unknown, light, &mut scratch);
+            hits.iter().zip(passed).for_each(|(&hit, out)| *out = fraction(hit));
+        }
+        give(&self.scratch, scratch);
+    }
+}
+
+impl Instances<'_> {
+    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+        let solid = &self.solid;
+        let mut scratch = take(&self.scratch).unwrap_or_else(|| solid.scratch());
+        let mut counted = SolidCounters::default();
+        for (to_light, out) in rays.iter().zip(passed) {
+            let hit = match counters {
+                Some(_) => solid.any_hit_counted(&to_light.ray, &mut scratch, &mut counted),
+                None => solid.any_hit(&to_light.ray, &mut scratch),
+            };
+            *out = fraction(hit);
+        }
+        if let Some(counters) = counters {
+            *counters += counted.walk;
+        }
+        give(&self.scratch, scratch);
+    }
+}
