@@ -11,7 +11,7 @@ use umbrage_aomask::{
     },
 };
 use umbrage_geom::{Falloff, OpticalDepth};
-use umbrage_testkit::Question;
+use umbrage_reference::Question;
 
 fn asked((points, normals): &Points) -> Vec<Receiver> {
     let receiver = |(i, (&p, &n)): (usize, (&[f32; 3], &[f32; 3]))| {

@@ -1,7 +1,6 @@
-//! What tests and benchmarks of the workspace share and users don't need: the unbiased reference of ambient occlusion.
-#![forbid(unsafe_code)]
+//! Oracles for tests. A development dependency only; it depends on no other crate of the workspace, so that unit tests of
+//! every crate can use it.
 
-mod generator;
-pub mod reference;
+mod boxes;
 
-pub use reference::{Question, Reference};
+pub use boxes::{Segment, segment_meets_interior, segment_touches_box};

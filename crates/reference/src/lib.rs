@@ -4,7 +4,11 @@
 //! one by one through [`Bvh::any_hit`], [`Bvh::closest_hit`] or [`Bvh::transmittance`]. The estimate has no bias; its standard error is
 //! known and part of the answer. Answers are kept in a folder by their content, so that a suite asks for each only once.
 
-use crate::generator::{Generator, mix};
+#![forbid(unsafe_code)]
+
+mod generator;
+
+use generator::{Generator, mix};
 use rayon::prelude::*;
 use std::{
     fs,
