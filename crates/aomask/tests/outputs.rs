@@ -225,7 +225,8 @@ fn what_can_not_be_answered_is_refused() {
         &mut |_| true,
     );
     assert!(matches!(veiled, Err(MaskError::Unsupported(_))));
-    let tables = MaskTables::new(pattern.clone(), &TableOptions::default()).unwrap();
+    let fixed = Pattern::new(&PatternOptions::default().with_rays(32).fixed()).unwrap();
+    let tables = MaskTables::new(fixed, &TableOptions::default()).unwrap();
     let outputs = Outputs::new(&mut ao);
     let refused = tables.answer(&scene.bvh, &points, &normals, &first, outputs, &mut |_| true);
     assert!(matches!(refused, Err(MaskError::Unsupported(_))));
