@@ -4,8 +4,9 @@ use std::path::PathBuf;
 use umbrage_accel::{BuildOptions, Bvh, brute};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3, sampling::RandomStream, sampling::uniform_sphere};
 use umbrage_render::{
-    bake::{BakeOptions, Ground, NormalSource, Occluders, Receivers, Shard, bake},
+    bake::{BakeOptions, NormalSource, Receivers, Shard, bake},
     inspect::inspect_mesh,
+    query::{Ground, Occluders},
 };
 use umbrage_scene::{Radius, read_mesh};
 
@@ -99,7 +100,7 @@ fn inspection_agrees_with_the_counts_of_the_collection() {
 #[test]
 fn baked_creases_are_darker_than_bumps() {
     let Some(mesh) = mesh("closed/bunny_6k.obj") else { return };
-    let occluders = Occluders::build(&[&mesh], Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(&[&mesh], Ground::Absent, &mut |_| true).unwrap();
     let receivers = Receivers::vertices(&mesh, NormalSource::Smooth).unwrap();
     let options = BakeOptions::default().with_rays(64).with_radius(Radius::OfDiagonal(0.1));
     let mut ao = vec![f32::NAN; receivers.len()];

@@ -6,8 +6,9 @@
 //! Without arguments it bakes a generated dragon and writes nothing.
 
 use umbrage_render::{
-    bake::{BakeOptions, Ground, NormalSource, Occluders, Receivers, Shard, bake},
+    bake::{BakeOptions, NormalSource, Receivers, Shard, bake},
     baked::{Baked, Surface},
+    query::{Ground, Occluders},
 };
 use umbrage_scene::{
     Radius,
@@ -21,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Some(path) => read_mesh(path.as_ref())?,
         None => generate("dragonish", &Parameters { triangles: Some(20_000), ..Parameters::default() })?.mesh,
     };
-    let occluders = Occluders::build(&[&mesh], Ground::Absent)?;
+    let occluders = Occluders::of_meshes(&[&mesh], Ground::Absent, &mut |_| true)?;
     let receivers = Receivers::vertices(&mesh, NormalSource::Smooth)?;
     let options = BakeOptions::default().with_rays(256).with_radius(Radius::OfDiagonal(0.1));
     let mut ao = vec![0.0; receivers.len()];

@@ -1,6 +1,6 @@
 //! Why baking failed.
 
-use umbrage_accel::BuildError;
+use crate::query::QueryError;
 use umbrage_geom::{FalloffError, MeshError};
 
 /// Why occlusion could not be baked. Nothing has been written to the caller's slices.
@@ -15,18 +15,9 @@ pub enum BakeError {
         /// What is wrong with it.
         source: MeshError,
     },
-    /// There is nothing that could occlude.
-    #[error("no occluder: at least one mesh is needed")]
-    NoOccluder,
-    /// The acceleration structure could not be built.
+    /// The occluders or the method could not be made ready, or the method can't answer.
     #[error(transparent)]
-    Build(#[from] BuildError),
-    /// The prefiltered hierarchy could not be built.
-    #[error(transparent)]
-    Prefilter(#[from] umbrage_occlusion::prefilter::PrefilterError),
-    /// Prefiltered occluders block from both sides.
-    #[error("prefiltered occluders block from both sides; bake with rays, or with both sides")]
-    SidesWithPrefilter,
+    Query(QueryError),
     /// A setting is 0 or too large.
     #[error("{what} is {value}, expected 1 to {limit}")]
     Count {
@@ -114,17 +105,9 @@ pub enum BakeError {
     /// Masks could not be computed.
     #[error(transparent)]
     Mask(umbrage_aomask::MaskError),
-    /// The method, or the sides that block, make sense for opaque occluders only.
-    #[error(
-        "some occluder is semi-transparent, which approximate masks, target errors and fronts before any back can't do"
-    )]
-    SemiTransparent,
     /// The target error is 0, negative or NaN, or the method can't aim at one.
     #[error("target error: {0}")]
     TargetError(&'static str),
-    /// The occluders' opacity was not stored.
-    #[error("the occluders have no stored opacity, which this method needs")]
-    NoFarOpacity,
     /// Rays could not be written down.
     #[error("writing rays: {0}")]
     Dump(std::io::Error),
@@ -144,6 +127,16 @@ impl From<umbrage_aomask::MaskError> for BakeError {
         match error {
             umbrage_aomask::MaskError::Cancelled => Self::Cancelled,
             other => Self::Mask(other),
+        }
+    }
+}
+
+impl From<QueryError> for BakeError {
+    fn from(error: QueryError) -> Self {
+        match error {
+            QueryError::Cancelled => Self::Cancelled,
+            QueryError::Mask(source) => Self::Mask(source),
+            other => Self::Query(other),
         }
     }
 }

@@ -1,12 +1,12 @@
-//! Ambient occlusion by exact rays: what a receiver sees of a white sky.
+//! Ambient occlusion by single rays: what a receiver sees of a white sky.
 //!
 //! Falloff is sampled, not weighted: each ray is cut to a random length with the falloff's distribution
 //! ([`Falloff::length`]). The expected result is that of weighting the nearest hit, and any-hit queries and semi-transparent
 //! occluders need no special case (there, "nearest hit" generalizes to every crossing weighted by its own distance).
 
-use super::occluders::Answers;
 use super::receivers::{Lobe, check_count};
-use super::{BakeError, BakeOptions, Jitter, Occluders, Receivers, Shard, Sides};
+use super::{BakeError, BakeExtras, BakeOptions, Jitter, Receivers, Shard, bake_with};
+use crate::query::{Engine, LightRay, Occluders, QueryError};
 use rayon::prelude::*;
 use umbrage_geom::{
     Falloff, Frame, Progress, Ray,
@@ -47,9 +47,12 @@ pub fn blocks(receivers: usize) -> usize {
 /// Rays are cosine-weighted around the receiver's normal. Where that normal is a shading normal, rays that would start into
 /// the receiver's own triangle are mirrored at its plane, so that convex surfaces stay exactly 1.
 ///
+/// Methods with masks take one pattern of rays for all receivers, turned and tilted a little at random unless jitter is off.
+///
 /// # Errors
-/// Those of [`BakeOptions::validate`]; [`BakeError::SidesWithPrefilter`], [`BakeError::SemiTransparent`], [`BakeError::TargetError`], [`BakeError::Length`],
-/// [`BakeError::Shard`], [`BakeError::Cancelled`]. After an error `ao` is as it was.
+/// Those of [`BakeOptions::validate`]; [`BakeError::Query`] with the reason if the method can't answer; [`BakeError::Mask`] for a
+/// number of rays that masks can't have; [`BakeError::TargetError`], [`BakeError::Length`], [`BakeError::Shard`],
+/// [`BakeError::Cancelled`]. After an error `ao` is as it was.
 pub fn bake(
     occluders: &Occluders,
     receivers: &Receivers,
@@ -58,24 +61,28 @@ pub fn bake(
     ao: &mut [f32],
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), BakeError> {
-    options.validate()?;
-    if occluders.is_prefiltered() && options.sides != Sides::Both {
-        return Err(BakeError::SidesWithPrefilter);
-    }
-    if options.target_error.is_some() {
-        return Err(BakeError::TargetError("only ao, by method mask, can be baked to a target error"));
-    }
-    if options.sides == Sides::FrontFirst && !occluders.is_opaque() {
-        return Err(BakeError::SemiTransparent);
-    }
+    bake_with(occluders, receivers, options, shard, ao, BakeExtras::default(), progress)
+}
+
+/// [`bake`] by an engine that answers rays.
+pub(super) fn bake_rays(
+    occluders: &Occluders,
+    engine: &dyn Engine,
+    receivers: &Receivers,
+    options: &BakeOptions,
+    shard: Shard,
+    ao: &mut [f32],
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), BakeError> {
     let mine = shard_of(receivers, shard, ao)?;
-    let integrator = Integrator::new(occluders, receivers, options);
+    let integrator = Integrator::new(occluders.diagonal(), engine, receivers, options);
     let progress = Progress::new(mine.len() as u64, progress);
     let results = mine
         .par_iter()
         .map_init(Scratch::default, |scratch, block| {
             progress.check()?;
-            let values: Vec<f32> = block.iter().map(|&i| integrator.ao(i as usize, scratch)).collect();
+            let ao = |&i: &u32| integrator.ao(i as usize, scratch);
+            let values: Vec<f32> = block.iter().map(ao).collect::<Result<_, QueryError>>()?;
             progress.advance(1)?;
             Ok(values)
         })
@@ -105,21 +112,6 @@ pub(super) fn shard_of(receivers: &Receivers, shard: Shard, ao: &[f32]) -> Resul
     Ok(order.chunks(BLOCK).skip(index as usize).step_by(count as usize).map(<[u32]>::to_vec).collect())
 }
 
-/// [`bake`] of plain points and normals, all of them, without progress.
-///
-/// # Errors
-/// Those of [`Receivers::from_points`] and [`bake`].
-pub fn bake_points(
-    occluders: &Occluders,
-    points: &[[f32; 3]],
-    normals: &[[f32; 3]],
-    options: &BakeOptions,
-    ao: &mut [f32],
-) -> Result<(), BakeError> {
-    let receivers = Receivers::from_points(points, normals)?;
-    bake(occluders, &receivers, options, Shard::WHOLE, ao, &mut |_| true)
-}
-
 /// `direction`, mirrored at the plane with the normal `face` if it leads below.
 pub(super) fn above(direction: Vec3, face: Vec3) -> Vec3 {
     let height = direction.dot(face);
@@ -131,7 +123,7 @@ pub(super) fn above(direction: Vec3, face: Vec3) -> Vec3 {
 }
 
 struct Integrator<'a> {
-    occluders: &'a Occluders,
+    engine: &'a dyn Engine,
     receivers: &'a Receivers,
     options: &'a BakeOptions,
     /// World units.
@@ -155,21 +147,24 @@ struct Sample {
 
 #[derive(Default)]
 struct Scratch {
-    rays: Vec<Ray>,
-    /// Solid angle that each ray stands for.
-    angles: Vec<f32>,
-    answers: Answers,
+    rays: Vec<LightRay>,
+    passed: Vec<f32>,
 }
 
 impl<'a> Integrator<'a> {
-    fn new(occluders: &'a Occluders, receivers: &'a Receivers, options: &'a BakeOptions) -> Self {
-        let radius = options.radius.resolve(occluders.diagonal());
+    fn new(
+        diagonal: f32,
+        engine: &'a dyn Engine,
+        receivers: &'a Receivers,
+        options: &'a BakeOptions,
+    ) -> Self {
+        let radius = options.radius.resolve(diagonal);
         let length = |i| options.falloff.length(f32::from(i) / f32::from(LENGTHS)) * radius;
         let lengths = match options.falloff {
             Falloff::Constant => Vec::new(),
             _ => (0..=LENGTHS).map(length).collect(),
         };
-        let mut integrator = Self { occluders, receivers, options, radius, lengths, shared: Vec::new() };
+        let mut integrator = Self { engine, receivers, options, radius, lengths, shared: Vec::new() };
         if options.jitter != Jitter::Pattern {
             integrator.shared = (0..options.rays).map(|i| integrator.sample(i, options.seed)).collect();
         }
@@ -188,10 +183,10 @@ impl<'a> Integrator<'a> {
         Sample { direction: cosine_hemisphere(Vec2::new(x, y)), length, lobe }
     }
 
-    fn ao(&self, receiver: usize, scratch: &mut Scratch) -> f32 {
+    fn ao(&self, receiver: usize, scratch: &mut Scratch) -> Result<f32, QueryError> {
         let lobes = self.receivers.lobes(receiver);
         if lobes.is_empty() {
-            return 1.0;
+            return Ok(1.0);
         }
         let seed = combine(self.options.seed, receiver as u32);
         let rotation = match self.options.jitter {
@@ -201,21 +196,23 @@ impl<'a> Integrator<'a> {
         let rays = self.options.rays as usize;
         let mut light = 0.0;
         for start in (0..rays).step_by(BATCH) {
-            scratch.rays.clear();
-            scratch.angles.clear();
+            let Scratch { rays: batch, passed } = &mut *scratch;
+            batch.clear();
             let share = std::f32::consts::PI / rays as f32;
-            let Scratch { rays: batch, angles, .. } = scratch;
             batch.extend((start..rays.min(start + BATCH)).map(|i| {
                 let sample = match self.shared.get(i) {
                     Some(sample) => Sample { direction: rotation.apply(sample.direction), ..*sample },
                     None => self.sample(i as u32, seed),
                 };
-                angles.push(share / sample.direction.z.max(1e-3));
-                self.ray(receiver, Lobe::choose(lobes, sample.lobe), &sample)
+                let ray = self.ray(receiver, Lobe::choose(lobes, sample.lobe), &sample);
+                LightRay { ray, solid_angle: share / sample.direction.z.max(1e-3) }
             }));
-            light += self.occluders.light(batch, angles, self.options.sides, &mut scratch.answers);
+            passed.clear();
+            passed.resize(batch.len(), 1.0);
+            self.engine.transmittances(batch, None, passed, None)?;
+            light += passed.iter().map(|&x| f64::from(x)).sum::<f64>();
         }
-        (light / rays as f64) as f32
+        Ok((light / rays as f64) as f32)
     }
 
     fn ray(&self, receiver: usize, lobe: &Lobe, sample: &Sample) -> Ray {

@@ -2,127 +2,46 @@
 
 use super::receivers::Lobe;
 use super::{
-    BakeError, BakeOptions, Jitter, Occluders, Receivers, Shard, Sides,
+    BakeError, BakeExtras, BakeOptions, Receivers, Shard,
     integrate::{MIN_HEIGHT, above, shard_of},
 };
+use crate::query::{Engine, Sky};
 use std::io::{self, Write};
-use umbrage_aomask::{
-    self as aomask, BackEnd, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver,
-    TableOptions, coarse,
-    exact::{self, adaptive::Adaptive, fans},
-};
-use umbrage_geom::{OpticalDepth, Ray, glam::Vec3, offset_origin, sampling::combine};
+use umbrage_aomask::{Outputs, Pattern, Receiver};
+use umbrage_geom::{Ray, glam::Vec3, offset_origin, sampling::combine};
 
 /// Receivers whose rays are listed at a time.
 const LISTED: usize = 1 << 10;
 
-/// How masks are found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum MaskMethod {
-    /// Exactly: the bits of single rays.
-    #[default]
-    Exact,
-    /// Exactly up to a tenth of the radius (of the diagonal where there is none), or as far as sampled points ask for, by stored
-    /// opacity ([`aomask::coarse::field`]) beyond it: approximate. Opaque occluders with [`Occluders::with_far_opacity`].
-    Prefilter,
-    /// From tables, approximately (`docs/aomask.md` has the errors); opaque occluders only. Rays that would start into the
-    /// receiver's own triangle, as around a shading normal, are blocked by it.
-    Table,
-}
-
-/// What [`bake_masks`] gives besides openness.
-#[derive(Default)]
-pub struct MaskExtras<'d, 'b> {
-    /// Gets every ray in the order of receivers: 36 bytes each, little-endian `f32`s origin, `tnear`, direction, `tfar`, and
-    /// a `u32` that is 1 if nothing passed.
-    pub dump: Option<&'d mut dyn Write>,
-    /// One for each receiver, of unit length: the mean of the rays' directions, each as often as it is free. The mean normal
-    /// where nothing passes, zero for receivers without a direction; those of other shards stay as they are.
-    pub bent_normals: Option<&'b mut [[f32; 3]]>,
-}
-
-/// Computes `ao` of the receivers of `shard` as [`super::bake`] does, by one pattern of rays for all receivers, turned and
-/// tilted a little at random unless jitter is off.
-///
-/// # Errors
-/// Those of [`super::bake`]; [`BakeError::Mask`] for a number of rays that is not a multiple of 32 up to 1024;
-/// [`BakeError::SemiTransparent`]; [`BakeError::Dump`]. After an error `ao` and bent normals are as they were.
-#[allow(clippy::too_many_arguments)] // what there is to say
-pub fn bake_masks(
-    occluders: &Occluders,
+/// [`super::bake`] by an engine that answers receivers.
+pub(super) fn bake_receivers(
+    engine: &dyn Engine,
+    sky: &Sky,
     receivers: &Receivers,
     options: &BakeOptions,
-    method: MaskMethod,
     shard: Shard,
-    ao: &mut [f32],
-    extras: MaskExtras<'_, '_>,
+    (ao, extras): (&mut [f32], BakeExtras<'_, '_>),
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), BakeError> {
-    options.validate()?;
-    if !occluders.is_opaque() && (method != MaskMethod::Exact || options.sides == Sides::FrontFirst) {
-        return Err(BakeError::SemiTransparent);
+    if options.target_error.is_some() && (extras.dump.is_some() || extras.bent_normals.is_some()) {
+        return Err(BakeError::TargetError("only ao, by method mask, can be baked to a target error"));
     }
-    if options.target_error.is_some() {
-        if method != MaskMethod::Exact || extras.dump.is_some() || extras.bent_normals.is_some() {
-            return Err(BakeError::TargetError("only ao, by method mask, can be baked to a target error"));
-        }
-        if !occluders.is_opaque() {
-            return Err(BakeError::SemiTransparent);
-        }
-    }
-    let MaskExtras { dump, bent_normals } = extras;
+    let BakeExtras { dump, bent_normals } = extras;
     if let Some(bent) = bent_normals.as_ref().filter(|bent| bent.len() != receivers.len()) {
         let (actual, expected) = (bent.len(), receivers.len());
         return Err(BakeError::Length { what: "bent normals", actual, expected });
     }
     let mine: Vec<u32> = shard_of(receivers, shard, ao)?.concat();
-    let pattern_options = pattern_options(options);
-    let pattern = Pattern::new(&pattern_options)?;
-    let sides = match options.sides {
-        Sides::Both => aomask::Sides::Both,
-        Sides::Front => aomask::Sides::Front,
-        Sides::FrontFirst => aomask::Sides::FrontFirst,
-    };
-    let mask_options =
-        MaskOptions::default().with_radius(options.radius.resolve(occluders.diagonal())).with_sides(sides);
+    let pattern = Pattern::new(&sky.pattern)?;
     let asked = lobes(receivers, &mine, options)?;
-    let adaptive = match options.target_error {
-        Some(target) => Some((Adaptive::new(&pattern_options)?, target)),
-        None => None,
-    };
     let (directions, masks) = (bent_normals.is_some(), dump.is_some());
-    let job = Job {
-        occluders,
-        pattern: &pattern,
-        pattern_options: &pattern_options,
-        options: &mask_options,
-        asked: &asked,
-        directions,
-        masks,
-        adaptive,
-    };
-    let answers = match method {
-        MaskMethod::Exact => job.exact(progress)?,
-        MaskMethod::Table => job.table(progress)?,
-        MaskMethod::Prefilter => job.prefilter(progress)?,
-    };
+    let job = Job { engine, pattern: &pattern, radius: sky.radius, asked: &asked, directions, masks };
+    let answers = if engine.answers_listed() { job.exact(progress)? } else { job.all(progress)? };
     if let Some(out) = dump {
-        job.dump(&answers, method, out).map_err(BakeError::Dump)?;
+        job.dump(&answers, out).map_err(BakeError::Dump)?;
     }
     write(&mine, &asked, &answers, ao, bent_normals);
     Ok(())
-}
-
-fn pattern_options(options: &BakeOptions) -> PatternOptions {
-    let pattern = PatternOptions::default()
-        .with_rays(options.rays)
-        .with_falloff(options.falloff.clone())
-        .with_seed(options.seed);
-    match options.jitter {
-        Jitter::Pattern => pattern,
-        Jitter::Rotation => pattern.with_jitter(1.0, 0.0),
-        Jitter::Off => pattern.with_jitter(0.0, 0.0),
-    }
 }
 
 /// A lobe of a receiver.
@@ -162,17 +81,15 @@ struct Answers {
 }
 
 struct Job<'a> {
-    occluders: &'a Occluders,
+    engine: &'a dyn Engine,
     pattern: &'a Pattern,
-    pattern_options: &'a PatternOptions,
-    options: &'a MaskOptions,
+    /// World units.
+    radius: f32,
     asked: &'a [Asked],
     /// Whether directions are wanted.
     directions: bool,
     /// Whether masks are wanted.
     masks: bool,
-    /// Patterns for a target error.
-    adaptive: Option<(Adaptive, f32)>,
 }
 
 impl Job<'_> {
@@ -184,11 +101,11 @@ impl Job<'_> {
         }
     }
 
-    /// Answers of `call` for the lobes `which`, whose rays are the pattern's.
+    /// Answers for the lobes `which`, whose rays are the pattern's.
     fn by_masks(
         &self,
         which: &[usize],
-        call: impl FnOnce(&[Receiver], Outputs<'_>) -> Result<(), aomask::MaskError>,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<Answers, BakeError> {
         let receivers: Vec<Receiver> = which.iter().map(|&i| self.asked[i].receiver).collect();
         let mut answers = self.room(which.len());
@@ -198,7 +115,7 @@ impl Job<'_> {
         if !answers.masks.is_empty() {
             outputs = outputs.with_masks(&mut answers.masks);
         }
-        call(&receivers, outputs)?;
+        self.engine.sky(&receivers, outputs, progress)?;
         let masks = answers.masks.chunks(words);
         for ((direction, receiver), mask) in answers.directions.iter_mut().zip(&receivers).zip(masks) {
             *direction = self.pattern.free_direction(receiver, mask)?.into();
@@ -206,60 +123,21 @@ impl Job<'_> {
         Ok(answers)
     }
 
-    fn table(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let tables = MaskTables::new(self.pattern.clone(), &TableOptions::default())?;
+    /// Every lobe by the pattern's rays: none is mirrored.
+    fn all(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
         let all: Vec<usize> = (0..self.asked.len()).collect();
-        self.by_masks(&all, |receivers, outputs| {
-            tables.answer_receivers(self.occluders.bvh(), receivers, self.options, outputs, progress)
-        })
-    }
-
-    fn prefilter(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let far = self.occluders.far(self.pattern, self.pattern_options, self.options)?;
-        let (bvh, best) = (self.occluders.bvh(), BackEnd::best());
-        let all: Vec<usize> = (0..self.asked.len()).collect();
-        // The same rays either way: none is mirrored.
-        self.by_masks(&all, |receivers, outputs| {
-            let (pattern, options) = (self.pattern, self.options);
-            match &far {
-                Some(far) => {
-                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, progress)
-                }
-                None => exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress),
-            }
-        })
+        self.by_masks(&all, progress)
     }
 
     /// Where the pattern's rays are taken as they are they walk as such; where some are mirrored, or their fractions are
     /// needed, they are listed.
     fn exact(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<Answers, BakeError> {
-        let &Self { occluders, pattern, options, .. } = self;
-        let fractions = self.directions && !occluders.is_opaque();
+        let pattern = self.pattern;
+        let fractions = self.directions && self.engine.has_fractions();
         let (listed, plain): (Vec<usize>, Vec<usize>) =
             (0..self.asked.len()).partition(|&i| fractions || self.dips(&self.asked[i]));
         let share = if listed.is_empty() { 1.0 } else { plain.len() as f32 / self.asked.len() as f32 };
-        let part = self.by_masks(&plain, |receivers, outputs| {
-            let mut progress = |fraction: f32| progress(fraction * share);
-            let (bvh, best) = (occluders.bvh(), BackEnd::best());
-            if let Some((adaptive, target)) = &self.adaptive {
-                let mut used = vec![0; receivers.len()];
-                adaptive.answer_receivers(
-                    bvh,
-                    receivers,
-                    options,
-                    *target,
-                    best,
-                    outputs,
-                    &mut used,
-                    &mut progress,
-                )
-            } else if occluders.is_opaque() {
-                exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, &mut progress)
-            } else {
-                let depth = |prim| occluders.depth_of(prim);
-                exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, &mut progress)
-            }
-        })?;
+        let part = self.by_masks(&plain, &mut |fraction: f32| progress(fraction * share))?;
         if listed.is_empty() {
             return Ok(part);
         }
@@ -287,19 +165,10 @@ impl Job<'_> {
 
     /// Answers the lobes `which`, ray by ray.
     fn by_list(&self, which: &[usize], answers: &mut Answers) -> Result<(), BakeError> {
-        let (bvh, best, sides, n) =
-            (self.occluders.bvh(), BackEnd::best(), self.options.sides, self.pattern.len());
+        let n = self.pattern.len();
         let rays: Vec<Ray> = which.iter().flat_map(|&i| self.rays(&self.asked[i])).collect();
-        let passed: Vec<f32> = if self.occluders.is_opaque() {
-            let mut hits = vec![false; rays.len()];
-            fans::any_hits(bvh, &rays, n, sides, best, &mut hits)?;
-            hits.into_iter().map(|hit| f32::from(u8::from(!hit))).collect()
-        } else {
-            let mut sums = vec![OpticalDepth::CLEAR; rays.len()];
-            let depth = |prim| self.occluders.depth_of(prim);
-            fans::transmittances(bvh, &rays, n, sides, depth, best, &mut sums)?;
-            sums.into_iter().map(OpticalDepth::transmittance).collect()
-        };
+        let mut passed = vec![1.0; rays.len()];
+        self.engine.listed(&rays, n, &mut passed)?;
         for (&i, (rays, passed)) in which.iter().zip(rays.chunks(n).zip(passed.chunks(n))) {
             let sum: f64 = passed.iter().map(|&x| f64::from(x)).sum();
             answers.open[i] = (sum / n as f64) as f32;
@@ -320,22 +189,21 @@ impl Job<'_> {
     /// Whether rays of the pattern would start into the receiver's own triangle.
     fn dips(&self, asked: &Asked) -> bool {
         let low = |ray: Ray| ray.direction.dot(asked.face) < MIN_HEIGHT;
-        asked.face != asked.receiver.normal()
-            && self.pattern.rays_of(&asked.receiver, self.options.radius).any(low)
+        asked.face != asked.receiver.normal() && self.pattern.rays_of(&asked.receiver, self.radius).any(low)
     }
 
     /// Rays of a lobe, mirrored at its face as those of [`super::bake`].
     fn rays(&self, asked: &Asked) -> impl Iterator<Item = Ray> {
         let face = asked.face;
         self.pattern
-            .rays_of(&asked.receiver, self.options.radius)
+            .rays_of(&asked.receiver, self.radius)
             .map(move |ray| Ray { direction: above(ray.direction, face), ..ray })
     }
 
-    fn dump(&self, answers: &Answers, method: MaskMethod, out: &mut dyn Write) -> io::Result<()> {
+    fn dump(&self, answers: &Answers, out: &mut dyn Write) -> io::Result<()> {
         for (asked, mask) in self.asked.iter().zip(answers.masks.chunks(self.pattern.words())) {
-            let mirrored = method == MaskMethod::Exact && self.dips(asked);
-            let plain = self.pattern.rays_of(&asked.receiver, self.options.radius);
+            let mirrored = self.engine.answers_listed() && self.dips(asked);
+            let plain = self.pattern.rays_of(&asked.receiver, self.radius);
             for (i, (plain, above)) in plain.zip(self.rays(asked)).enumerate() {
                 let ray = if mirrored { above } else { plain };
                 let [ox, oy, oz] = ray.origin.to_array();

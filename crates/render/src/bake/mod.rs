@@ -9,13 +9,14 @@
 //!
 //! ```
 //! use umbrage_geom::TriangleMesh;
-//! use umbrage_render::bake::{BakeOptions, Ground, NormalSource, Occluders, Receivers, Shard, bake};
+//! use umbrage_render::bake::{BakeOptions, NormalSource, Receivers, Shard, bake};
+//! use umbrage_render::query::{Ground, Occluders};
 //!
 //! let tetrahedron = TriangleMesh::new(
 //!     vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
 //!     vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
 //! )?;
-//! let occluders = Occluders::build(&[&tetrahedron], Ground::Absent)?;
+//! let occluders = Occluders::of_meshes(&[&tetrahedron], Ground::Absent, &mut |_| true)?;
 //! let receivers = Receivers::vertices(&tetrahedron, NormalSource::Smooth)?;
 //! let mut ao = vec![f32::NAN; receivers.len()];
 //! bake(&occluders, &receivers, &BakeOptions::default(), Shard::WHOLE, &mut ao, &mut |_| true)?;
@@ -26,7 +27,6 @@
 mod error;
 mod integrate;
 mod mask;
-mod occluders;
 mod options;
 mod receivers;
 mod texel;
@@ -35,9 +35,53 @@ mod texel;
 mod tests;
 
 pub use error::BakeError;
-pub use integrate::{bake, bake_points, blocks};
-pub use mask::{MaskExtras, MaskMethod, bake_masks};
-pub use occluders::{Ground, Occluders};
-pub use options::{BakeOptions, Jitter, NormalSource, Shard, Sides};
+pub use integrate::{bake, blocks};
+pub use options::{BakeOptions, Jitter, NormalSource, Shard};
 pub use receivers::Receivers;
 pub use texel::{TexelImage, TexelMap, VAxis};
+
+use crate::query::{Answers, Occluders, QueryError, engine};
+use std::io::Write;
+
+/// What [`bake_with`] gives besides openness, by methods with masks.
+#[derive(Default)]
+pub struct BakeExtras<'d, 'b> {
+    /// Gets every ray in the order of receivers: 36 bytes each, little-endian `f32`s origin, `tnear`, direction, `tfar`, and
+    /// a `u32` that is 1 if nothing passed.
+    pub dump: Option<&'d mut dyn Write>,
+    /// One for each receiver, of unit length: the mean of the rays' directions, each as often as it is free. The mean normal
+    /// where nothing passes, zero for receivers without a direction; those of other shards stay as they are.
+    pub bent_normals: Option<&'b mut [[f32; 3]]>,
+}
+
+/// [`bake`] with more results.
+///
+/// # Errors
+/// Those of [`bake`]; [`BakeError::Query`] if a method without masks is asked for more than `ao`; [`BakeError::Dump`]. After an
+/// error `ao` and bent normals are as they were.
+pub fn bake_with(
+    occluders: &Occluders,
+    receivers: &Receivers,
+    options: &BakeOptions,
+    shard: Shard,
+    ao: &mut [f32],
+    extras: BakeExtras<'_, '_>,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), BakeError> {
+    options.validate()?;
+    let sky = options.sky(occluders.diagonal());
+    let engine = engine::sky(options.method, occluders, &sky, &mut |_| progress(0.0))?;
+    let engine = &*engine;
+    match engine.answers() {
+        Answers::Receivers => {
+            mask::bake_receivers(engine, &sky, receivers, options, shard, (ao, extras), progress)
+        }
+        Answers::Rays if extras.dump.is_none() && extras.bent_normals.is_none() => {
+            integrate::bake_rays(occluders, engine, receivers, options, shard, ao, progress)
+        }
+        _ => {
+            let reason = "rays and bent normals are written by methods with masks";
+            Err(QueryError::Unsupported { method: options.method.name(), reason }.into())
+        }
+    }
+}

@@ -1,13 +1,17 @@
 //! What can be chosen when occlusion is baked.
 
 use super::BakeError;
+use crate::query::{AoMethod, Sky};
+use umbrage_aomask::{PatternOptions, Sides};
 use umbrage_geom::Falloff;
 use umbrage_scene::Radius;
 
-/// Settings of a bake. Start from the default: 256 rays, no radius, constant falloff, both sides, seed 0.
+/// Settings of a bake. Start from the default: method `rays`, 256 rays, no radius, constant falloff, both sides, seed 0.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BakeOptions {
+    /// How occlusion is answered.
+    pub method: AoMethod,
     /// Rays from each receiver, 1 to [`BakeOptions::MAX_RAYS`].
     pub rays: u32,
     /// How far occluders count. A fraction refers to [`Occluders::diagonal`](super::Occluders::diagonal).
@@ -24,22 +28,8 @@ pub struct BakeOptions {
     /// receivers that lie on the mesh; points that were made with less care may need more.
     pub bias: f32,
     /// Standard error of `ao` to aim at, more than 0: each receiver gets as many rays as that takes by an estimate, up to
-    /// [`Self::rays`]. Only for [`super::bake_masks`], exact, opaque.
+    /// [`Self::rays`]. Only for [`AoMethod::Mask`], among opaque occluders.
     pub target_error: Option<f32>,
-}
-
-/// Which sides of a triangle block rays.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Sides {
-    /// Both: right for closed meshes and for leaves alike.
-    #[default]
-    Both,
-    /// Only the front, from which the corners run counter-clockwise. Rays pass through back sides, so the inside of a
-    /// closed mesh is open.
-    Front,
-    /// Only a front that a ray meets before any back: a ray that meets a back first starts inside something and is free. For
-    /// opaque occluders.
-    FrontFirst,
 }
 
 /// How patterns of rays differ between receivers.
@@ -86,6 +76,7 @@ impl Shard {
 impl Default for BakeOptions {
     fn default() -> Self {
         Self {
+            method: AoMethod::Rays,
             rays: 256,
             radius: Radius::Unbounded,
             falloff: Falloff::Constant,
@@ -101,6 +92,12 @@ impl Default for BakeOptions {
 impl BakeOptions {
     /// Most rays from one receiver: as many as one run of the Sobol points has.
     pub const MAX_RAYS: u32 = 1 << 16;
+
+    /// Sets [`Self::method`].
+    #[must_use]
+    pub fn with_method(self, method: AoMethod) -> Self {
+        Self { method, ..self }
+    }
 
     /// Sets [`Self::rays`].
     #[must_use]
@@ -148,6 +145,21 @@ impl BakeOptions {
     #[must_use]
     pub fn with_target_error(self, target_error: f32) -> Self {
         Self { target_error: Some(target_error), ..self }
+    }
+
+    /// What all receivers have in common, among occluders with a diagonal of `diagonal`.
+    pub(super) fn sky(&self, diagonal: f32) -> Sky {
+        let pattern = PatternOptions::default()
+            .with_rays(self.rays)
+            .with_falloff(self.falloff.clone())
+            .with_seed(self.seed);
+        let pattern = match self.jitter {
+            Jitter::Pattern => pattern,
+            Jitter::Rotation => pattern.with_jitter(1.0, 0.0),
+            Jitter::Off => pattern.with_jitter(0.0, 0.0),
+        };
+        let sky = Sky::new(pattern, self.radius.resolve(diagonal)).with_sides(self.sides);
+        Sky { target_error: self.target_error, ..sky }
     }
 
     /// Checks everything that doesn't depend on receivers or occluders.

@@ -4,14 +4,28 @@ mod masks;
 mod texels;
 
 use super::*;
+use crate::query::{AoMethod, Ground};
 use proptest::prelude::*;
 use umbrage_accel::{BuildOptions, Bvh};
+use umbrage_aomask::Sides;
 use umbrage_geom::{
     Falloff, MeshError, MeshObject, Ray, TriangleMesh,
     glam::{Affine3A, Quat, Vec2, Vec3},
     sampling::{RandomStream, cosine_hemisphere, sobol_2d, uniform_sphere},
 };
 use umbrage_scene::Radius;
+
+/// [`bake`] of plain points and normals.
+fn bake_points(
+    occluders: &Occluders,
+    points: &[[f32; 3]],
+    normals: &[[f32; 3]],
+    options: &BakeOptions,
+    ao: &mut [f32],
+) -> Result<(), BakeError> {
+    let receivers = Receivers::from_points(points, normals)?;
+    bake(occluders, &receivers, options, Shard::WHOLE, ao, &mut |_| true)
+}
 
 /// A globe of `n` x `2 n` quads around the origin, radius 1, with a latitude-longitude map.
 fn sphere(n: u32) -> TriangleMesh {
@@ -84,14 +98,14 @@ fn transparent(mut mesh: TriangleMesh, opacity: f32) -> TriangleMesh {
 
 /// Occlusion of one receiver.
 fn occlusion(meshes: &[&TriangleMesh], point: [f32; 3], normal: [f32; 3], options: &BakeOptions) -> f64 {
-    let occluders = Occluders::build(meshes, Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(meshes, Ground::Absent, &mut |_| true).unwrap();
     let mut ao = [f32::NAN];
     bake_points(&occluders, &[point], &[normal], options, &mut ao).unwrap();
     1.0 - f64::from(ao[0])
 }
 
 fn bake_all(mesh: &TriangleMesh, receivers: &Receivers, options: &BakeOptions) -> Vec<f32> {
-    let occluders = Occluders::build(&[mesh], Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(&[mesh], Ground::Absent, &mut |_| true).unwrap();
     let mut ao = vec![f32::NAN; receivers.len()];
     bake(&occluders, receivers, options, Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
     ao
@@ -171,7 +185,7 @@ fn inside_a_closed_box() {
 #[test]
 fn ground_below() {
     let mesh = cuboid([0.0; 3], [1.0; 3]);
-    let occluders = Occluders::build(&[&mesh], Ground::Below).unwrap();
+    let occluders = Occluders::of_meshes(&[&mesh], Ground::Below, &mut |_| true).unwrap();
     assert_eq!(occluders.bounds(), mesh.bounds());
     let points = [[5.0, 0.0, 0.5], [1.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 1.0, 0.5]];
     let normals = [[-1e-3, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], UP];
@@ -182,7 +196,7 @@ fn ground_below() {
     assert_eq!(ao[2..], [0.0, 1.0]); // resting on the ground; the top
     // A lone plane over its own ground: nothing above it.
     let plane = quad([-1.0, 3.0, 1.0], [2.0, 0.0, 0.0], [0.0, 0.0, -2.0]);
-    let occluders = Occluders::build(&[&plane], Ground::Below).unwrap();
+    let occluders = Occluders::of_meshes(&[&plane], Ground::Below, &mut |_| true).unwrap();
     let receivers = Receivers::vertices(&plane, NormalSource::Geometric).unwrap();
     let mut ao = [f32::NAN; 4];
     bake(&occluders, &receivers, &BakeOptions::default(), Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
@@ -286,7 +300,7 @@ fn vertices_without_a_side_are_open() {
     mesh.triangles.push([4, 4, 5]);
     mesh.corner_uvs.clear();
     mesh.positions.push([0.5, 0.5, 0.5]);
-    let occluders = Occluders::build(&[&mesh, &roof], Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(&[&mesh, &roof], Ground::Absent, &mut |_| true).unwrap();
     for normals in [NormalSource::Geometric, NormalSource::Smooth] {
         let receivers = Receivers::vertices(&mesh, normals).unwrap();
         let mut ao = vec![f32::NAN; 7];
@@ -304,7 +318,7 @@ fn mixed() -> (Occluders, Receivers) {
     let mut mesh = cuboid([-2.0, -1.0, -2.0], [2.0, 0.0, 2.0]);
     mesh.append(&ball);
     let receivers = Receivers::vertices(&mesh, NormalSource::Geometric).unwrap();
-    (Occluders::build(&[&mesh, &pane], Ground::Below).unwrap(), receivers)
+    (Occluders::of_meshes(&[&mesh, &pane], Ground::Below, &mut |_| true).unwrap(), receivers)
 }
 
 #[test]
@@ -372,7 +386,7 @@ fn seeds_and_bias_matter() {
 #[test]
 fn bad_input_is_named() {
     let mesh = ceiling(1.0, 1.0);
-    let occluders = Occluders::build(&[&mesh], Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(&[&mesh], Ground::Absent, &mut |_| true).unwrap();
     let run = |options: BakeOptions| {
         bake_points(&occluders, &[[0.0; 3]], &[UP], &options, &mut [0.0]).unwrap_err().to_string()
     };
@@ -396,9 +410,9 @@ fn bad_input_is_named() {
         assert!(matches!(points(&[[0.0; 3]; 3], &[UP, UP, bad]), BakeError::Normal { index: 2, .. }));
     }
     let empty = TriangleMesh::default();
-    let error = Occluders::build(&[&mesh, &empty], Ground::Absent).err().unwrap();
-    assert!(matches!(error, BakeError::Mesh { index: 1, source: MeshError::Empty }));
-    assert!(matches!(Occluders::build(&[], Ground::Absent), Err(BakeError::NoOccluder)));
+    let error = Occluders::of_meshes(&[&mesh, &empty], Ground::Absent, &mut |_| true).err().unwrap();
+    assert!(matches!(error, QueryError::Mesh { index: 1, source: MeshError::Empty }));
+    assert!(matches!(Occluders::of_meshes(&[], Ground::Absent, &mut |_| true), Err(QueryError::NoOccluder)));
     assert!(matches!(Receivers::vertices(&mesh, NormalSource::File), Err(BakeError::NoNormals)));
     let mut short = [0.0; 1];
     let receivers = Receivers::from_points(&[[0.0; 3]; 2], &[UP; 2]).unwrap();

@@ -3,17 +3,18 @@
 use super::{Interrupted, is_mesh, methods, progress::Bar, thread_pool};
 use crate::{
     bake::{
-        BakeError, BakeOptions, Ground, MaskExtras, MaskMethod, NormalSource, Occluders, Receivers, Shard,
-        Sides, TexelMap, VAxis, bake, bake_masks, blocks,
+        BakeError, BakeExtras, BakeOptions, NormalSource, Receivers, Shard, TexelMap, VAxis, bake_with,
+        blocks,
     },
     baked::{Baked, Surface, check_part_extension},
     fingerprint::Fingerprint,
     image::{ShardError, ShardSpec},
-    query::{AoMethod, SceneKind, Selection, View, plan},
+    query::{AoMethod, Ground, Occluders, SceneKind, Selection, View, engine, plan},
 };
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use serde_json::json;
 use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
+use umbrage_aomask::Sides;
 use umbrage_geom::{Falloff, TriangleMesh};
 use umbrage_scene::{Points, Radius, Scene, read_mesh, read_points};
 
@@ -95,14 +96,9 @@ pub struct BakeArguments {
     stats: Option<PathBuf>,
 }
 
-/// The form of masks, if `method` is one with masks.
-fn mask_method(method: AoMethod) -> Option<MaskMethod> {
-    match method {
-        AoMethod::Mask => Some(MaskMethod::Exact),
-        AoMethod::MaskPrefilter => Some(MaskMethod::Prefilter),
-        AoMethod::MaskTable => Some(MaskMethod::Table),
-        AoMethod::MaskRaster | AoMethod::Rays | AoMethod::Prefilter => None,
-    }
+/// Whether `method` answers by masks.
+fn has_masks(method: AoMethod) -> bool {
+    method.needs().mask_rays
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -176,6 +172,7 @@ impl BakeArguments {
             SidesArgument::FrontFirst => Sides::FrontFirst,
         };
         let options = BakeOptions::default()
+            .with_method(plan::sky_of_one_mesh(self.method, self.rays))
             .with_rays(self.rays)
             .with_radius(self.radius.0)
             .with_falloff(self.falloff.clone())
@@ -215,15 +212,15 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
         arguments.points.is_none() || arguments.per == Per::Vertex,
         "--points and --per texel exclude each other"
     );
-    let method = plan::sky_of_one_mesh(arguments.method, arguments.rays);
+    let method = options.method;
     // Occluders are one mesh; whether they are opaque isn't known yet.
     method.check(&SceneKind { opaque: true, instances_apart: false, view: View::NoCamera })?;
     for (given, name) in
         [(arguments.dump_rays.is_some(), "--dump-rays"), (arguments.bent_normals, "--bent-normals")]
     {
         ensure!(
-            !given || mask_method(method).is_some(),
-            "{name} needs a method with masks: --method mask or mask-table, with 32 to 1024 rays, a multiple of 32"
+            !given || has_masks(method),
+            "{name} needs a method with masks: --method mask, mask-prefilter or mask-table, with 32 to 1024 rays, a multiple of 32"
         );
     }
     ensure!(
@@ -313,17 +310,12 @@ fn bake_and_write(
     let start = Instant::now();
     let ground = if arguments.ground { Ground::Below } else { Ground::Absent };
     let meshes: Vec<&TriangleMesh> = std::iter::once(&input.mesh).chain(&input.occluders).collect();
-    let mut occluders = Occluders::build(&meshes, ground).with_context(source)?;
-    let method = plan::sky_of_one_mesh(arguments.method, options.rays);
-    match method {
-        AoMethod::Prefilter => occluders = occluders.prefiltered().with_context(source)?,
-        AoMethod::MaskPrefilter => match occluders.with_far_opacity(&mut |_| bar.check().is_ok()) {
-            Ok(with_far) => occluders = with_far,
-            Err(BakeError::Cancelled) => return Err(Interrupted.into()),
-            Err(other) => return Err(other).with_context(source),
-        },
-        _ => {}
-    }
+    let occluders = Occluders::of_meshes(&meshes, ground, &mut |_| bar.report(0.0))
+        .map_err(interrupted)
+        .with_context(source)?;
+    engine::prepare_sky(options.method, &occluders, &mut |_| bar.report(0.0))
+        .map_err(interrupted)
+        .with_context(source)?;
     let build_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let start = Instant::now();
@@ -331,31 +323,25 @@ fn bake_and_write(
     let part = Shard { index: shard.index() - 1, count: shard.count() };
     let mut report = |f| bar.report(f);
     let mut bent = arguments.bent_normals.then(|| vec![[0.0; 3]; receivers.len()]);
-    let mut by_masks = |masks: MaskMethod, dump: Option<&mut dyn Write>| {
-        let extras = MaskExtras { dump, bent_normals: bent.as_deref_mut() };
-        bake_masks(&occluders, &receivers, options, masks, part, &mut ao, extras, &mut report)
+    let mut run = |dump: Option<&mut dyn Write>| {
+        let extras = BakeExtras { dump, bent_normals: bent.as_deref_mut() };
+        bake_with(&occluders, &receivers, options, part, &mut ao, extras, &mut report)
     };
-    let result = match (mask_method(method), &arguments.dump_rays) {
-        (Some(masks), None) => by_masks(masks, None),
-        (Some(masks), Some(path)) => {
+    match &arguments.dump_rays {
+        None => run(None).map_err(interrupted)?,
+        Some(path) => {
             let mut failure = None;
             let written = umbrage_scene::write_atomically(path, |out| {
-                by_masks(masks, Some(out)).map_err(|error| {
+                run(Some(out)).map_err(|error| {
                     failure = Some(error);
                     std::io::ErrorKind::Other.into()
                 })
             });
             match failure {
-                Some(error) => Err(error),
-                None => Ok(written?),
+                Some(error) => return Err(interrupted(error)),
+                None => written?,
             }
         }
-        (None, _) => bake(&occluders, &receivers, options, part, &mut ao, &mut report),
-    };
-    match result {
-        Ok(()) => {}
-        Err(BakeError::Cancelled) => return Err(Interrupted.into()),
-        Err(other) => bail!(other),
     }
     let bake_s = start.elapsed().as_secs_f64();
     bar.check()?;
@@ -372,7 +358,7 @@ fn bake_and_write(
         let stats = json!({
             "umbrage": env!("CARGO_PKG_VERSION"),
             "mesh": source(),
-            "method": method.name(),
+            "method": options.method.name(),
             "shard": arguments.shard.map(|s| s.to_string()),
             "triangles": meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
             "receivers": baked_here,
@@ -392,6 +378,14 @@ fn bake_and_write(
     Ok(())
 }
 
+/// What a cancelled call means to the user.
+fn interrupted(error: impl Into<BakeError>) -> anyhow::Error {
+    match error.into() {
+        BakeError::Cancelled => Interrupted.into(),
+        other => other.into(),
+    }
+}
+
 /// Everything that decides about the result.
 fn fingerprint(
     arguments: &BakeArguments,
@@ -404,8 +398,7 @@ fn fingerprint(
     if let Surface::Points { positions, normals } = &baked.surface {
         fingerprint.words(positions.iter().chain(normals).flatten().map(|x| x.to_bits()));
     }
-    let method = plan::sky_of_one_mesh(arguments.method, options.rays);
-    let all = format!("{options:?} {:?} {} {method}", arguments.normal_source(), arguments.ground);
+    let all = format!("{options:?} {:?} {}", arguments.normal_source(), arguments.ground);
     fingerprint.bytes(all.as_bytes());
     fingerprint.finish()
 }

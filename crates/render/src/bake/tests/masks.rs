@@ -13,19 +13,21 @@ fn dumped(record: &[u8]) -> (Ray, bool) {
 #[test]
 fn masks_have_the_answers_of_their_rays() {
     let (globe, floor) = (sphere(10), quad([-4.0, -1.01, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]));
-    let solid = Occluders::build(&[&globe, &floor], Ground::Absent).unwrap();
-    let veiled = Occluders::build(&[&globe, &transparent(floor.clone(), 0.4)], Ground::Absent).unwrap();
+    let solid = Occluders::of_meshes(&[&globe, &floor], Ground::Absent, &mut |_| true).unwrap();
+    let veiled =
+        Occluders::of_meshes(&[&globe, &transparent(floor.clone(), 0.4)], Ground::Absent, &mut |_| true)
+            .unwrap();
     let map = TexelMap::new(&globe, 24, 12, VAxis::Up).unwrap();
     let all = [
         Receivers::vertices(&globe, NormalSource::Smooth).unwrap(),
         Receivers::vertices(&globe, NormalSource::Geometric).unwrap(),
         map.receivers(&globe, NormalSource::Smooth).unwrap(),
     ];
-    let methods = [(MaskMethod::Table, 0.02), (MaskMethod::Exact, 0.0)];
+    let methods = [(AoMethod::MaskTable, 0.02), (AoMethod::Mask, 0.0)];
     for ((receivers, (method, most)), occluders) in
         all.iter().flat_map(|r| methods.map(|m| (r, m))).zip([&solid, &solid, &solid, &veiled].iter().cycle())
     {
-        if method == MaskMethod::Table && !occluders.is_opaque() {
+        if method == AoMethod::MaskTable && !occluders.is_opaque() {
             continue;
         }
         let options = BakeOptions::default().with_rays(256).with_radius(Radius::Absolute(3.0));
@@ -33,8 +35,9 @@ fn masks_have_the_answers_of_their_rays() {
         bake(occluders, receivers, &options, Shard::WHOLE, &mut reference, &mut |_| true).unwrap();
         let masks =
             |shard, ao: &mut [f32], dump: Option<&mut dyn std::io::Write>, bent: Option<&mut [[f32; 3]]>| {
-                let extras = MaskExtras { dump, bent_normals: bent };
-                bake_masks(occluders, receivers, &options, method, shard, ao, extras, &mut |_| true).unwrap();
+                let extras = BakeExtras { dump, bent_normals: bent };
+                let options = options.clone().with_method(method);
+                bake_with(occluders, receivers, &options, shard, ao, extras, &mut |_| true).unwrap();
             };
         let (mut ao, mut rays) = (vec![f32::NAN; receivers.len()], Vec::new());
         let mut bent = vec![[f32::NAN; 3]; receivers.len()];
@@ -56,12 +59,12 @@ fn masks_have_the_answers_of_their_rays() {
         for record in rays.chunks(36) {
             let (ray, blocked) = dumped(record);
             assert!(ray.is_valid() && ray.tfar == 3.0);
-            let depth = occluders.bvh().transmittance(&ray, |prim| occluders.depth_of(prim));
-            differ += usize::from(depth.is_opaque() != blocked);
-            passed.push(depth.transmittance());
+            let depth = occluders.transmittance(&ray, &mut ());
+            differ += usize::from((depth == 0.0) != blocked);
+            passed.push(depth);
         }
         assert!(differ as f64 <= most * count as f64, "{method:?}: {differ} of {count}");
-        if method == MaskMethod::Exact && count == receivers.len() * 256 {
+        if method == AoMethod::Mask && count == receivers.len() * 256 {
             // Dumped in the order of receivers that a bake has.
             let mut means: Vec<f32> = passed
                 .chunks(256)
@@ -78,32 +81,32 @@ fn masks_have_the_answers_of_their_rays() {
 #[test]
 fn convex_surfaces_are_open_to_masks_around_shading_normals() {
     let globe = sphere(6);
-    let occluders = Occluders::build(&[&globe], Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(&[&globe], Ground::Absent, &mut |_| true).unwrap();
     let receivers =
         TexelMap::new(&globe, 16, 8, VAxis::Up).unwrap().receivers(&globe, NormalSource::Smooth).unwrap();
     let mut ao = vec![f32::NAN; receivers.len()];
-    let (options, extras) = (BakeOptions::default().with_rays(1024), MaskExtras::default());
-    let method = MaskMethod::Exact;
-    bake_masks(&occluders, &receivers, &options, method, Shard::WHOLE, &mut ao, extras, &mut |_| true)
-        .unwrap();
+    let options = BakeOptions::default().with_rays(1024).with_method(AoMethod::Mask);
+    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
     assert!(ao.iter().all(|&ao| ao == 1.0));
 }
 
 #[test]
 fn rays_that_start_inside_are_free_where_fronts_must_come_first() {
     let globe = sphere(6);
-    let occluders = Occluders::build(&[&globe], Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(&[&globe], Ground::Absent, &mut |_| true).unwrap();
     let receivers = Receivers::from_points(&[[0.0; 3], [0.0, 3.0, 0.0]], &[UP, [0.0, -1.0, 0.0]]).unwrap();
     let options = BakeOptions::default().with_sides(Sides::FrontFirst);
     let (mut by_rays, mut by_masks) = ([0.0; 2], [0.0; 2]);
     bake(&occluders, &receivers, &options, Shard::WHOLE, &mut by_rays, &mut |_| true).unwrap();
-    let extras = MaskExtras::default();
-    let method = MaskMethod::Exact;
-    bake_masks(&occluders, &receivers, &options, method, Shard::WHOLE, &mut by_masks, extras, &mut |_| true)
-        .unwrap();
+    let options = options.with_method(AoMethod::Mask);
+    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut by_masks, &mut |_| true).unwrap();
     for ao in [by_rays, by_masks] {
         assert!(ao[0] == 1.0 && (ao[1] - 8.0 / 9.0).abs() < 0.03, "{ao:?}");
     }
+}
+
+fn is_unsupported(error: &BakeError, word: &str) -> bool {
+    matches!(error, BakeError::Query(QueryError::Unsupported { reason, .. }) if reason.contains(word))
 }
 
 #[test]
@@ -111,19 +114,25 @@ fn masks_name_what_they_cannot_do() {
     let globe = sphere(4);
     let receivers = Receivers::vertices(&globe, NormalSource::Smooth).unwrap();
     let mut ao = vec![-1.0; receivers.len()];
-    let opaque = Occluders::build(&[&globe], Ground::Absent).unwrap();
-    let veil = Occluders::build(&[&transparent(globe.clone(), 0.5)], Ground::Absent).unwrap();
+    let opaque = Occluders::of_meshes(&[&globe], Ground::Absent, &mut |_| true).unwrap();
+    let veil =
+        Occluders::of_meshes(&[&transparent(globe.clone(), 0.5)], Ground::Absent, &mut |_| true).unwrap();
     let mut call = |occluders: &Occluders, rays: u32, method, sides, go_on: bool| {
-        let options = BakeOptions::default().with_rays(rays).with_sides(sides);
-        let extras = MaskExtras::default();
-        bake_masks(occluders, &receivers, &options, method, Shard::WHOLE, &mut ao, extras, &mut |_| go_on)
+        let options = BakeOptions::default().with_rays(rays).with_sides(sides).with_method(method);
+        bake(occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |_| go_on)
     };
-    for method in [MaskMethod::Table, MaskMethod::Exact] {
+    for method in [AoMethod::MaskTable, AoMethod::Mask] {
         let odd = call(&opaque, 33, method, Sides::Both, true);
         assert!(matches!(odd, Err(BakeError::Mask(umbrage_aomask::MaskError::Rays(33)))));
         assert!(matches!(call(&opaque, 64, method, Sides::Both, false), Err(BakeError::Cancelled)));
-        assert!(matches!(call(&veil, 64, method, Sides::FrontFirst, true), Err(BakeError::SemiTransparent)));
+        let error = call(&veil, 64, method, Sides::FrontFirst, true).unwrap_err();
+        assert!(is_unsupported(&error, "semi-transparent"), "{error}");
     }
-    assert!(matches!(call(&veil, 64, MaskMethod::Table, Sides::Both, true), Err(BakeError::SemiTransparent)));
+    let error = call(&veil, 64, AoMethod::MaskTable, Sides::Both, true).unwrap_err();
+    assert!(is_unsupported(&error, "semi-transparent"), "{error}");
+    let error = call(&opaque, 64, AoMethod::MaskRaster, Sides::Both, true).unwrap_err();
+    assert!(is_unsupported(&error, "camera"), "{error}");
+    let error = call(&opaque, 64, AoMethod::Prefilter, Sides::Front, true).unwrap_err();
+    assert!(is_unsupported(&error, "both sides"), "{error}");
     assert!(ao.iter().all(|&ao| ao == -1.0));
 }

@@ -94,7 +94,7 @@ fn bad_texture_coordinates_are_named() {
     mesh.corner_uvs.clear();
     assert!(matches!(map(&mesh, 8), BakeError::NoUvs));
     // No receivers at all is a bake of nothing.
-    let occluders = Occluders::build(&[&mesh], Ground::Absent).unwrap();
+    let occluders = Occluders::of_meshes(&[&mesh], Ground::Absent, &mut |_| true).unwrap();
     bake_points(&occluders, &[], &[], &BakeOptions::default(), &mut []).unwrap();
 }
 

@@ -3,13 +3,19 @@
 use super::{Answers, Engine, Report, Sky, one_mesh};
 use crate::query::{AoMethod, Occluders, QueryError};
 use umbrage_accel::Bvh;
-use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides, exact};
+use umbrage_aomask::{
+    BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides,
+    exact::{self, adaptive::Adaptive, fans},
+};
+use umbrage_geom::{OpticalDepth, Ray};
 
 pub(super) struct Mask<'a> {
     occluders: &'a Occluders,
     bvh: &'a Bvh,
     pattern: Pattern,
     options: MaskOptions,
+    /// Patterns for a target error.
+    adaptive: Option<(Adaptive, f32)>,
 }
 
 impl<'a> Mask<'a> {
@@ -17,11 +23,23 @@ impl<'a> Mask<'a> {
         let method = AoMethod::Mask.name();
         let bvh = one_mesh(method, occluders.flat())?;
         let (pattern, options) = sky.masks()?;
-        if options.sides == Sides::FrontFirst && !occluders.is_opaque() {
-            let reason = "some triangles are semi-transparent, and fronts before any back need opaque ones";
+        let needs_opaque = [
+            (options.sides == Sides::FrontFirst, super::FRONT_FIRST_NEEDS_OPAQUE),
+            (
+                sky.target_error.is_some(),
+                "some triangles are semi-transparent, and a target error needs opaque ones",
+            ),
+        ];
+        if let Some((_, reason)) =
+            needs_opaque.into_iter().find(|(needed, _)| *needed && !occluders.is_opaque())
+        {
             return Err(QueryError::Unsupported { method, reason });
         }
-        Ok(Self { occluders, bvh, pattern, options })
+        let adaptive = match sky.target_error {
+            Some(target) => Some((Adaptive::new(&sky.pattern)?, target)),
+            None => None,
+        };
+        Ok(Self { occluders, bvh, pattern, options, adaptive })
     }
 }
 
@@ -34,6 +52,14 @@ impl Engine for Mask<'_> {
         Answers::Receivers
     }
 
+    fn answers_listed(&self) -> bool {
+        true
+    }
+
+    fn has_fractions(&self) -> bool {
+        !self.occluders.is_opaque()
+    }
+
     fn sky(
         &self,
         receivers: &[Receiver],
@@ -42,11 +68,30 @@ impl Engine for Mask<'_> {
     ) -> Result<(), QueryError> {
         let Self { bvh, pattern, options, .. } = self;
         let best = BackEnd::best();
-        if self.occluders.is_opaque() {
+        if let Some((adaptive, target)) = &self.adaptive {
+            let mut used = vec![0; receivers.len()];
+            adaptive
+                .answer_receivers(bvh, receivers, options, *target, best, outputs, &mut used, progress)?;
+        } else if self.occluders.is_opaque() {
             exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)?;
         } else {
             let depth = |prim| self.occluders.flat_depth(prim);
             exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, progress)?;
+        }
+        Ok(())
+    }
+
+    fn listed(&self, rays: &[Ray], per_receiver: usize, passed: &mut [f32]) -> Result<(), QueryError> {
+        let (bvh, sides, best) = (self.bvh, self.options.sides, BackEnd::best());
+        if self.occluders.is_opaque() {
+            let mut hits = vec![false; rays.len()];
+            fans::any_hits(bvh, rays, per_receiver, sides, best, &mut hits)?;
+            hits.into_iter().zip(passed).for_each(|(hit, out)| *out = f32::from(u8::from(!hit)));
+        } else {
+            let mut sums = vec![OpticalDepth::CLEAR; rays.len()];
+            let depth = |prim| self.occluders.flat_depth(prim);
+            fans::transmittances(bvh, rays, per_receiver, sides, depth, best, &mut sums)?;
+            sums.into_iter().zip(passed).for_each(|(sum, out)| *out = sum.transmittance());
         }
         Ok(())
     }

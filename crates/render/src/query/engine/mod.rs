@@ -8,7 +8,7 @@ mod mask;
 mod mask_prefilter;
 mod mask_raster;
 mod mask_table;
-pub(crate) mod prefilter;
+mod prefilter;
 mod rays;
 mod solid;
 
@@ -100,6 +100,26 @@ pub trait Engine: Sync {
         Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer whole images" })
     }
 
+    /// Answers rays that the caller lists, `per_receiver` of each receiver in turn, which share their origin: writes the fraction
+    /// of light that passes along each.
+    ///
+    /// # Errors
+    /// [`QueryError::Unsupported`] unless [`Self::answers_listed`]; [`QueryError::Mask`].
+    fn listed(&self, rays: &[Ray], per_receiver: usize, passed: &mut [f32]) -> Result<(), QueryError> {
+        let _ = (rays, per_receiver, passed);
+        Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer listed rays" })
+    }
+
+    /// Whether [`Self::listed`] answers, with what [`Self::sky`] would answer for the same rays.
+    fn answers_listed(&self) -> bool {
+        false
+    }
+
+    /// Whether light may pass along a ray in part, which masks don't tell.
+    fn has_fractions(&self) -> bool {
+        false
+    }
+
     /// What was made of the occluders so far, by engines that make it when rays come near.
     fn prepared(&self) -> Option<Prepared> {
         None
@@ -123,12 +143,15 @@ pub struct Sky {
     pub sides: Sides,
     /// From where receivers are seen.
     pub view: View,
+    /// Standard error of the openness to aim at: receivers get as many rays as that takes by an estimate, up to those of the
+    /// pattern.
+    pub target_error: Option<f32>,
 }
 
 impl Sky {
-    /// Both sides block, and receivers are given as points.
+    /// Both sides block, receivers are given as points, and all get the rays of the pattern.
     pub fn new(pattern: PatternOptions, radius: f32) -> Self {
-        Self { pattern, radius, sides: Sides::Both, view: View::NoCamera }
+        Self { pattern, radius, sides: Sides::Both, view: View::NoCamera, target_error: None }
     }
 
     /// Sets [`Self::sides`].
@@ -154,6 +177,9 @@ impl Sky {
         Ok((pattern, options))
     }
 }
+
+const FRONT_FIRST_NEEDS_OPAQUE: &str =
+    "some triangles are semi-transparent, and fronts before any back need opaque ones";
 
 /// Whether masks can have so many rays.
 pub fn mask_rays(rays: u32) -> bool {
@@ -208,14 +234,17 @@ pub fn sky<'a>(
 ) -> Result<Box<dyn Engine + 'a>, QueryError> {
     let kind: SceneKind = occluders.kind(sky.view);
     method.check(&kind)?;
+    if sky.target_error.is_some() && method != AoMethod::Mask {
+        let reason = "only method mask can aim at a target error";
+        return Err(QueryError::Unsupported { method: method.name(), reason });
+    }
     Ok(match method {
         AoMethod::Rays if sky.sides != Sides::Both && kind.instances_apart => {
             let reason = "sides other than both need instances in one mesh";
             return Err(QueryError::Unsupported { method: method.name(), reason });
         }
         AoMethod::Rays if sky.sides == Sides::FrontFirst && !kind.opaque => {
-            let reason = "some triangles are semi-transparent, and fronts before any back need opaque ones";
-            return Err(QueryError::Unsupported { method: method.name(), reason });
+            return Err(QueryError::Unsupported { method: method.name(), reason: FRONT_FIRST_NEEDS_OPAQUE });
         }
         AoMethod::Rays => Box::new(rays::Rays::new(method.name(), occluders, sky.sides)),
         AoMethod::Mask => Box::new(mask::Mask::build(occluders, sky)?),
@@ -230,6 +259,18 @@ pub fn sky<'a>(
             Box::new(prefilter::Prefilter::build(occluders, prefilter::AO_THRESHOLD, progress)?)
         }
     })
+}
+
+/// Makes the structures that `method` will ask for, so that [`sky`] finds them.
+///
+/// # Errors
+/// [`QueryError::Prefilter`], [`QueryError::Mask`], [`QueryError::Cancelled`].
+pub fn prepare_sky(method: AoMethod, occluders: &Occluders, progress: Report<'_>) -> Result<(), QueryError> {
+    match method {
+        AoMethod::Prefilter => occluders.prefiltered(progress).map(drop),
+        AoMethod::MaskPrefilter => occluders.far_opacity(progress).map(drop),
+        AoMethod::Rays | AoMethod::Mask | AoMethod::MaskTable | AoMethod::MaskRaster => Ok(()),
+    }
 }
 
 /// The parts of occluders in one mesh, which [`super::Needs::one_mesh`] has made sure of.

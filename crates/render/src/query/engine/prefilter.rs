@@ -11,7 +11,7 @@ use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Q
 pub(super) const SHADOW_THRESHOLD: f32 = 0.2;
 
 /// Threshold `T` of ambient occlusion.
-pub(crate) const AO_THRESHOLD: f32 = 0.3;
+pub(super) const AO_THRESHOLD: f32 = 0.3;
 
 /// Cones that are put together at a time, on the stack.
 const BATCH: usize = 64;
