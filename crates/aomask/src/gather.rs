@@ -25,6 +25,7 @@ impl Answers {
 pub(crate) struct Wanted {
     masks: bool,
     bent_normals: bool,
+    free_directions: bool,
     /// Pseudo-angles where sectors end; empty if none are wanted.
     sectors: Vec<f32>,
     distances: bool,
@@ -35,6 +36,7 @@ pub(crate) struct Gathered {
     ao: Vec<f32>,
     masks: Vec<u64>,
     bent_normals: Vec<[f32; 3]>,
+    free_directions: Vec<[f32; 3]>,
     sectors: Vec<f32>,
     distances: Vec<f32>,
 }
@@ -60,6 +62,7 @@ impl Wanted {
         Self {
             masks: outputs.masks.is_some(),
             bent_normals: outputs.bent_normals.is_some(),
+            free_directions: outputs.free_directions.is_some(),
             sectors: outputs.sectors.as_ref().map_or_else(Vec::new, |(count, _)| sector_ends(*count)),
             distances: outputs.hit_distances.is_some(),
         }
@@ -77,6 +80,7 @@ impl Wanted {
             ao: Vec::with_capacity(answers.masks.len() / words),
             masks: if self.masks { answers.masks.clone() } else { Vec::new() },
             bent_normals: Vec::new(),
+            free_directions: Vec::new(),
             sectors: Vec::new(),
             distances: Vec::new(),
         };
@@ -86,6 +90,10 @@ impl Wanted {
                 passed => Passed::Fractions(&passed[i * rays..][..rays]),
             };
             gathered.ao.push(passed.openness(pattern));
+            if self.free_directions {
+                let mean = receiver.map_or(Vec3::ZERO, |receiver| passed.free_direction(pattern, receiver));
+                gathered.free_directions.push(mean.to_array());
+            }
             if self.bent_normals {
                 let bent = receiver.map_or(Vec3::ZERO, |receiver| {
                     passed.free_direction(pattern, receiver).try_normalize().unwrap_or(receiver.normal())
@@ -142,6 +150,9 @@ impl Gathered {
             if let Some(all) = &mut outputs.bent_normals {
                 all[at] = self.bent_normals[i];
             }
+            if let Some(all) = &mut outputs.free_directions {
+                all[at] = self.free_directions[i];
+            }
             if let Some((count, all)) = &mut outputs.sectors {
                 let count = *count as usize;
                 all[at * count..][..count].copy_from_slice(&self.sectors[i * count..][..count]);
@@ -187,6 +198,10 @@ impl Passed<'_> {
 
     /// Mean over all rays of the direction times what passes.
     fn free_direction(self, pattern: &Pattern, receiver: &Receiver) -> Vec3 {
+        if receiver.face().is_some() {
+            let rays = pattern.rays_of(receiver, 1.0).enumerate();
+            return rays.map(|(i, ray)| ray.direction * self.of(i)).sum::<Vec3>() / pattern.len() as f32;
+        }
         let directions = pattern.directions(pattern.member_of(receiver));
         let sum: Vec3 = directions.iter().enumerate().map(|(i, &d)| d * self.of(i)).sum();
         pattern.frame_of(receiver).world_from_local(sum / pattern.len() as f32)

@@ -88,6 +88,8 @@ pub struct Outputs<'a> {
     pub masks: Option<&'a mut [u64]>,
     /// Mean direction of the free rays, of unit length; the normal where no ray is free or their mean is zero.
     pub bent_normals: Option<&'a mut [[f32; 3]]>,
+    /// Mean over all rays of the direction times what passes; its direction is the bent normal.
+    pub free_directions: Option<&'a mut [[f32; 3]]>,
     /// Openness by azimuth: a number of equal sectors, and that many values for each receiver, each the mean over the rays
     /// in the sector (that over all rays where it has none). Sector 0 begins at the tangent of [`Frame::from_normal`] of the
     /// receiver's normal, the next ones follow towards its bitangent.
@@ -102,7 +104,14 @@ pub struct Outputs<'a> {
 impl<'a> Outputs<'a> {
     /// Only [`Self::ao`].
     pub fn new(ao: &'a mut [f32]) -> Self {
-        Self { ao, masks: None, bent_normals: None, sectors: None, hit_distances: None }
+        Self {
+            ao,
+            masks: None,
+            bent_normals: None,
+            free_directions: None,
+            sectors: None,
+            hit_distances: None,
+        }
     }
 
     /// Asks for [`Self::masks`] too.
@@ -115,6 +124,12 @@ impl<'a> Outputs<'a> {
     #[must_use]
     pub fn with_bent_normals(self, bent_normals: &'a mut [[f32; 3]]) -> Self {
         Self { bent_normals: Some(bent_normals), ..self }
+    }
+
+    /// Asks for [`Self::free_directions`] too.
+    #[must_use]
+    pub fn with_free_directions(self, free_directions: &'a mut [[f32; 3]]) -> Self {
+        Self { free_directions: Some(free_directions), ..self }
     }
 
     /// Asks for [`Self::sectors`] too.
@@ -144,6 +159,7 @@ impl<'a> Outputs<'a> {
     pub(crate) fn validate(&self, points: usize, words: usize) -> Result<(), MaskError> {
         let masks = self.masks.as_ref().map(|m| m.len());
         let bent_normals = self.bent_normals.as_ref().map(|b| b.len());
+        let free_directions = self.free_directions.as_ref().map(|d| d.len());
         let hit_distances = self.hit_distances.as_ref().map(|d| d.len());
         let count = self.sectors.as_ref().map_or(1, |s| s.0);
         if count == 0 || count > Self::MAX_SECTORS {
@@ -154,6 +170,7 @@ impl<'a> Outputs<'a> {
             ("ao", Some(self.ao.len()), points),
             ("masks", masks, points.saturating_mul(words)),
             ("bent normals", bent_normals, points),
+            ("free directions", free_directions, points),
             ("sectors", sectors, points.saturating_mul(count as usize)),
             ("hit distances", hit_distances, points),
         ] {

@@ -10,7 +10,11 @@ pub struct Receiver {
     normal: Vec3,
     seed: u32,
     sample: u32,
+    face: Option<Vec3>,
 }
+
+/// Least height of a ray above the plane of [`Receiver::face`], as a cosine.
+const LEAST_HEIGHT: f32 = 5e-4;
 
 impl Receiver {
     /// A receiver at `point` (world units; rays start exactly there, so points on a surface are moved off it first, see
@@ -29,7 +33,13 @@ impl Receiver {
             return Err(MaskError::Normal { index, normal });
         }
         // In f64 no finite length overflows or vanishes.
-        Ok(Self { point: point.into(), normal: n.as_dvec3().normalize().as_vec3(), seed, sample: 0 })
+        Ok(Self {
+            point: point.into(),
+            normal: n.as_dvec3().normalize().as_vec3(),
+            seed,
+            sample: 0,
+            face: None,
+        })
     }
 
     /// Where rays start, world units.
@@ -49,6 +59,33 @@ impl Receiver {
     #[must_use]
     pub fn with_sample(self, sample: u32) -> Self {
         Self { sample, ..self }
+    }
+
+    /// The receiver lies on a surface with the unit normal `face` that is not its own normal: rays that would lead below the
+    /// surface are mirrored at it ([`crate::Pattern::rays_of`]), so that a surface never darkens itself. Only methods that cast
+    /// the pattern's rays do so; tables take all rays as they are.
+    #[must_use]
+    pub fn with_face(self, face: [f32; 3]) -> Self {
+        let face = Vec3::from(face);
+        Self { face: (face != self.normal).then_some(face), ..self }
+    }
+
+    /// What [`Self::with_face`] set, unless it is the normal.
+    #[inline]
+    pub fn face(&self) -> Option<Vec3> {
+        self.face
+    }
+
+    /// `direction`, mirrored at the plane of [`Self::face`] if it leads below.
+    #[inline]
+    pub(crate) fn above(&self, direction: Vec3) -> Vec3 {
+        let Some(face) = self.face else { return direction };
+        let height = direction.dot(face);
+        if height < LEAST_HEIGHT {
+            (direction + face * (height.abs().max(LEAST_HEIGHT) - height)).normalize()
+        } else {
+            direction
+        }
     }
 
     /// The same point and normal under another seed.

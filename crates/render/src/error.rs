@@ -19,6 +19,9 @@ pub enum RenderError {
         /// The largest possible value.
         limit: u64,
     },
+    /// A target error can't be aimed at.
+    #[error("can't aim at the target error: {0}")]
+    TargetError(&'static str),
     /// The image or the shard is impossible.
     #[error(transparent)]
     Image(#[from] crate::image::ImageError),

@@ -6,16 +6,19 @@ use crate::{
     query::{Answers, Engine, LightRay, Occluders, QueryError, Surface},
 };
 use umbrage_accel::Counters;
-use umbrage_aomask::{Outputs, Receiver};
+use umbrage_aomask::{Outputs, Pattern, Receiver};
 use umbrage_geom::{
-    Falloff, Frame, Ray,
+    Ray,
     glam::{Vec2, Vec3},
     offset_origin,
-    sampling::{combine, concentric_disc, cosine_hemisphere, pixel_seed, sobol_2d, sobol_4d, unit},
+    sampling::{combine, concentric_disc, pixel_seed, sobol_2d, sobol_4d, unit},
 };
 
 /// Semi-transparent surfaces that a camera ray may pass before it gives up.
 const MOST_LAYERS: u32 = 1000;
+
+/// Keeps the seeds of sky rays apart from those of lights.
+const SKY: u32 = 1;
 
 /// Distance reported where nothing is seen: what Blender and Nuke users expect of a depth layer.
 pub const NO_DEPTH: f32 = 1e10;
@@ -40,14 +43,17 @@ impl std::ops::AddAssign for RayCounts {
 }
 
 /// The sky as the integrator needs it.
+#[derive(Clone)]
 pub(crate) struct Sky {
     pub radiance: Vec3,
     /// World units; may be infinite.
     pub radius: f32,
-    pub falloff: Falloff,
+    /// The rays of a camera sample's receiver.
+    pub pattern: Pattern,
 }
 
 /// Everything a pixel depends on.
+#[derive(Clone)]
 pub(crate) struct Integrator<'a> {
     pub camera: Camera,
     pub occluders: &'a Occluders,
@@ -62,6 +68,8 @@ pub(crate) struct Integrator<'a> {
     pub shadow_samples: u32,
     pub ao_samples: u32,
     pub seed: u32,
+    /// Other rays to lights and sky from the same surfaces, unless 0.
+    pub salt: u32,
     pub count_cost: bool,
     /// Openness of the sky by camera sample and pixel (row by row of `width`), where it is known beforehand.
     pub open: Vec<Vec<f32>>,
@@ -78,6 +86,10 @@ pub(crate) struct Pixel {
     pub normal: Vec3,
     pub depth: f32,
     pub cost: f32,
+    /// Whether some sample sees a surface.
+    pub seen: bool,
+    /// Whether light would reach one if nothing were in the way.
+    pub lit: bool,
 }
 
 /// Buffers reused from pixel to pixel, and what was counted.
@@ -138,10 +150,10 @@ impl Integrator<'_> {
         let mut uncounted = Scratch::default();
         for (slot, &(x, y)) in pixels.iter().enumerate() {
             for sample in 0..self.spp {
-                let seed = combine(combine(pixel_seed(x, y, self.seed), sample), 1);
-                let receiver = self.receiver(x, y, sample, &mut uncounted).and_then(|(origin, normal)| {
-                    Receiver::new(slot, origin.to_array(), normal.to_array(), seed).ok()
-                });
+                let seed = pixel_seed(x, y, self.seed);
+                let receiver = self
+                    .receiver(x, y, sample, &mut uncounted)
+                    .and_then(|(origin, normal)| self.sky_receiver(slot, origin, normal, sample, seed));
                 if let Some(receiver) = receiver {
                     receivers.push(receiver);
                     slots.push(slot * self.spp as usize + sample as usize);
@@ -181,7 +193,27 @@ impl Integrator<'_> {
             normal: sums.normal.normalize_or_zero(),
             depth: if sums.hits > 0 { sums.depth / hits } else { NO_DEPTH },
             cost: cost as f32 / samples,
+            seen: sums.hits > 0,
+            lit: sums.lit[1] > 0.0,
         }
+    }
+
+    /// Who asks about the sky at `origin`: the rays of a pixel's samples are spread evenly.
+    fn sky_receiver(
+        &self,
+        index: usize,
+        origin: Vec3,
+        normal: Vec3,
+        sample: u32,
+        seed: u32,
+    ) -> Option<Receiver> {
+        let seed = combine(self.salted(seed), SKY);
+        let receiver = Receiver::new(index, origin.to_array(), normal.to_array(), seed).ok()?;
+        Some(receiver.with_sample(sample))
+    }
+
+    fn salted(&self, seed: u32) -> u32 {
+        if self.salt == 0 { seed } else { combine(seed, self.salt) }
     }
 
     fn camera_ray(&self, x: u32, y: u32, sample: u32, seed: u32) -> Ray {
@@ -252,6 +284,7 @@ impl Integrator<'_> {
         let samples = light.samples(self.shadow_samples);
         let Scratch { squares, rays, arriving, .. } = scratch;
         squares.clear();
+        let seed = self.salted(seed);
         squares.extend((0..samples).map(|i| sobol_2d(sample * samples + i, number, seed)));
         rays.clear();
         arriving.clear();
@@ -294,24 +327,19 @@ impl Integrator<'_> {
             scratch.counts.ambient += u64::from(self.ao_samples);
             return open;
         }
-        let frame = Frame::from_normal(surface.shading_normal);
-        // All share the hemisphere's projected solid angle of pi.
-        let share = std::f32::consts::PI / self.ao_samples as f32;
         scratch.rays.clear();
-        for i in 0..self.ao_samples {
-            let [a, b, c, _] = sobol_4d(sample * self.ao_samples + i, 1, seed);
-            let local = cosine_hemisphere(Vec2::new(a, b));
-            let tfar = match &sky.falloff {
-                Falloff::Constant => sky.radius,
-                // Random lengths give the same mean as weighting the nearest hit (Laine and Karras 2010, equation 3).
-                falloff => sky.radius * falloff.length(c),
-            };
-            let ray = Ray::new(origin, frame.world_from_local(local)).with_tfar(tfar);
-            scratch.rays.push(LightRay { ray, solid_angle: share / local.z.max(1e-3) });
+        if let Some(receiver) = self.sky_receiver(0, origin, surface.shading_normal, sample, seed) {
+            let directions = sky.pattern.directions(sky.pattern.member_of(&receiver));
+            let rays = sky.pattern.rays_of(&receiver, sky.radius).zip(directions);
+            let ray = |(ray, &d)| LightRay { ray, solid_angle: sky.pattern.solid_angle(d) };
+            scratch.rays.extend(rays.map(ray));
         }
         scratch.counts.ambient += scratch.rays.len() as u64;
         self.trace(self.ambient, None, scratch);
-        scratch.passed.iter().sum::<f32>() / self.ao_samples as f32
+        if scratch.passed.is_empty() {
+            return 1.0;
+        }
+        scratch.passed.iter().sum::<f32>() / scratch.passed.len() as f32
     }
 
     fn trace(&self, engine: Option<&dyn Engine>, light: Option<usize>, scratch: &mut Scratch) {

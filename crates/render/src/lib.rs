@@ -15,9 +15,10 @@ mod integrator;
 pub mod light;
 pub mod query;
 mod raster_sky;
-
 pub mod render;
 pub mod subdivide;
+mod target;
 
 pub use error::RenderError;
 pub use integrator::{NO_DEPTH, RayCounts};
+pub use target::Samples;

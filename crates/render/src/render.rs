@@ -6,13 +6,17 @@ use crate::{
     image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names},
     integrator::{Integrator, Pixel, RayCounts, Scratch, Sky},
     light::Light,
-    query::{AoMethod, Occluders, SceneKind, Selection, ShadowMethod, Sky as SkyQuery, plan},
+    query::{
+        AoMethod, Engine, Exactness, Occluders, QueryError, SceneKind, Selection, ShadowMethod,
+        Sky as SkyQuery, plan,
+    },
     raster_sky,
+    target::{self, Samples},
 };
 use rayon::prelude::*;
 use std::sync::Mutex;
 use umbrage_accel::Counters;
-use umbrage_aomask::PatternOptions;
+use umbrage_aomask::{Pattern, PatternOptions};
 use umbrage_geom::{Progress, glam::Vec3};
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 use umbrage_scene::{Scene, Settings};
@@ -31,11 +35,14 @@ pub struct RenderOptions {
     pub shard: ShardSpec,
     /// Whether to count work for the layer `cost`; without it there is no such layer, and rays are a little faster.
     pub count_cost: bool,
+    /// Root mean square error of the layers `shadow` and `ao` to aim at, more than 0: numbers of samples are chosen by pilot pixels
+    /// in place of those of the scene ([`crate::Samples`]). For exact methods.
+    pub target_error: Option<f32>,
 }
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { shard: ShardSpec::WHOLE, count_cost: false }
+        Self { shard: ShardSpec::WHOLE, count_cost: false, target_error: None }
     }
 }
 
@@ -44,6 +51,12 @@ impl RenderOptions {
     #[must_use]
     pub fn with_shard(self, shard: ShardSpec) -> Self {
         Self { shard, ..self }
+    }
+
+    /// Sets [`Self::target_error`].
+    #[must_use]
+    pub fn with_target_error(self, target_error: Option<f32>) -> Self {
+        Self { target_error, ..self }
     }
 
     /// Sets whether work is counted.
@@ -68,6 +81,8 @@ pub struct Rendered {
     pub shadows: MethodUsed,
     /// What answered the sky, and why.
     pub ao: MethodUsed,
+    /// Samples that were chosen for a target error.
+    pub samples: Option<Samples>,
 }
 
 /// The method that answered one kind of ray.
@@ -103,6 +118,10 @@ pub fn check_settings(settings: &Settings) -> Result<(), RenderError> {
             return Err(RenderError::Count { what, value: value.into(), limit: MAX_SAMPLES.into() });
         }
     }
+    if settings.ao_samples > Pattern::MAX_RAYS {
+        let (what, value, limit) = ("ao_samples", settings.ao_samples.into(), Pattern::MAX_RAYS.into());
+        return Err(RenderError::Count { what, value, limit });
+    }
     // Sample numbers are 32 bits wide.
     let most = u64::from(u32::MAX / settings.spp);
     for (what, value) in &counts[1..] {
@@ -132,37 +151,29 @@ pub fn render(
     options: &RenderOptions,
     report: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<Rendered, RenderError> {
-    let settings = &scene.settings;
-    check_settings(settings)?;
+    let mut settings = scene.settings.clone();
+    check_settings(&settings)?;
     let grid = TileGrid::new(settings.width, settings.height, TILE)?;
     let tiles: Vec<u32> = options.shard.tiles(&grid).map_err(crate::image::ImageError::from)?.collect();
     let lights: Vec<Light> = scene.lights.iter().map(Light::new).collect();
+    let samples = match options.target_error {
+        Some(target) => {
+            let samples = choose_samples(scene, &lights, occluders, target, &mut |_| report(0.0))?;
+            (settings.shadow_samples, settings.ao_samples) = (samples.shadow, samples.ao);
+            Some(samples)
+        }
+        None => None,
+    };
+    let settings = &settings;
     let shadows = choose_shadows(settings, &lights, occluders, &mut |_| report(0.0))?;
-    let sky = sky_query(scene, occluders);
+    let sky = sky_query(scene, settings, occluders);
     let ambient = match &sky {
         Some(sky) => Some(plan::sky(selections(settings)?.1, occluders, sky, &mut |_| report(0.0))?),
         None => None,
     };
-    let mut integrator = Integrator {
-        camera: Camera::new(&scene.camera, settings.width, settings.height),
-        occluders,
-        lights,
-        sky: scene.ambient.as_ref().zip(sky.as_ref()).map(|(ambient, sky)| Sky {
-            radiance: ambient.radiance.into(),
-            radius: sky.radius,
-            falloff: ambient.falloff.clone(),
-        }),
-        background: Vec3::from(scene.background),
-        shadows: shadows.as_ref().map(|choice| &*choice.engine),
-        ambient: ambient.as_ref().map(|choice| &*choice.engine),
-        spp: settings.spp,
-        shadow_samples: settings.shadow_samples,
-        ao_samples: settings.ao_samples,
-        seed: settings.seed,
-        count_cost: options.count_cost,
-        open: Vec::new(),
-        width: settings.width,
-    };
+    let engines = [&shadows, &ambient].map(|choice| choice.as_ref().map(|choice| &*choice.engine));
+    let mut integrator = integrator(scene, settings, (lights, occluders), sky.as_ref(), engines)?;
+    integrator.count_cost = options.count_cost;
     if let Some(engine) = integrator.ambient {
         let size = [settings.width, settings.height];
         integrator.open = raster_sky::openness(&integrator, engine, size, &mut |_| report(0.0))?;
@@ -193,7 +204,90 @@ pub fn render(
         occluders: shadows.as_ref().and_then(|choice| choice.engine.prepared()),
         shadows: MethodUsed::new(shadows.as_ref(), "the scene has no lights"),
         ao: MethodUsed::new(ambient.as_ref(), "the scene has no ambient light"),
+        samples,
     })
+}
+
+/// What pixels depend on, without work counted and anything known of the sky.
+fn integrator<'a>(
+    scene: &Scene,
+    settings: &Settings,
+    (lights, occluders): (Vec<Light>, &'a Occluders),
+    sky: Option<&SkyQuery>,
+    [shadows, ambient]: [Option<&'a dyn Engine>; 2],
+) -> Result<Integrator<'a>, RenderError> {
+    let sky = match scene.ambient.as_ref().zip(sky) {
+        Some((ambient, sky)) => Some(Sky {
+            radiance: ambient.radiance.into(),
+            radius: sky.radius,
+            pattern: Pattern::new(&sky.pattern).map_err(QueryError::from)?,
+        }),
+        None => None,
+    };
+    Ok(Integrator {
+        camera: Camera::new(&scene.camera, settings.width, settings.height),
+        occluders,
+        lights,
+        sky,
+        background: Vec3::from(scene.background),
+        shadows,
+        ambient,
+        spp: settings.spp,
+        shadow_samples: settings.shadow_samples,
+        ao_samples: settings.ao_samples,
+        seed: settings.seed,
+        salt: 0,
+        count_cost: false,
+        open: Vec::new(),
+        width: settings.width,
+    })
+}
+
+/// Finds the numbers of samples for a target error.
+fn choose_samples(
+    scene: &Scene,
+    lights: &[Light],
+    occluders: &Occluders,
+    target: f32,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<Samples, RenderError> {
+    if target.is_nan() || target <= 0.0 {
+        return Err(RenderError::TargetError("it has to be more than 0"));
+    }
+    let (shadow_method, ao_method) = selections(&scene.settings)?;
+    let exact = |exactness: Exactness| exactness == Exactness::Exact;
+    if matches!(shadow_method, Selection::Method(method) if !exact(method.exactness()))
+        || matches!(ao_method, Selection::Method(method) if !exact(method.exactness()))
+    {
+        return Err(RenderError::TargetError("approximate methods have errors that more samples don't mend"));
+    }
+    let pilots = target::pilots(scene.settings.width, scene.settings.height);
+    let mut measure = |settings: &Settings, layer: usize| {
+        if !progress(0.0) {
+            return Err(RenderError::Cancelled);
+        }
+        // Only one of the layers costs rays.
+        let lights = if layer == 0 { lights.to_vec() } else { Vec::new() };
+        let shadows = choose_shadows(settings, &lights, occluders, progress)?;
+        let sky = if layer == 1 { sky_query(scene, settings, occluders) } else { None };
+        let ambient = match &sky {
+            Some(sky) => Some(plan::sky(ao_method, occluders, sky, progress)?),
+            None => None,
+        };
+        let engines = [&shadows, &ambient].map(|choice| choice.as_ref().map(|choice| &*choice.engine));
+        let base = integrator(scene, settings, (lights, occluders), sky.as_ref(), engines)?;
+        Ok(target::squared_errors(|salt| Integrator { salt, ..base.clone() }, &pilots)?[layer])
+    };
+    let with = |shadow_samples, ao_samples| Settings { shadow_samples, ao_samples, ..scene.settings.clone() };
+    let (shadow, shadow_error) = match lights.is_empty() {
+        true => (1, None),
+        false => target::choose(target, 1, |n| measure(&with(n, 8), 0))?,
+    };
+    let (ao, ao_error) = match &scene.ambient {
+        None => (8, None),
+        Some(_) => target::choose(target, 8, |n| measure(&with(1, n), 1))?,
+    };
+    Ok(Samples { shadow, ao, shadow_error, ao_error })
 }
 
 /// The shadow method of a scene, if it has lights.
@@ -216,8 +310,8 @@ fn choose_shadows<'a>(
 }
 
 /// What the ambient rays of a scene have in common, if it has an ambient light.
-fn sky_query(scene: &Scene, occluders: &Occluders) -> Option<SkyQuery> {
-    let (ambient, settings) = (scene.ambient.as_ref()?, &scene.settings);
+fn sky_query(scene: &Scene, settings: &Settings, occluders: &Occluders) -> Option<SkyQuery> {
+    let ambient = scene.ambient.as_ref()?;
     let pattern = PatternOptions::default()
         .with_rays(settings.ao_samples)
         .with_falloff(ambient.falloff.clone())

@@ -188,6 +188,12 @@ impl<F: FarField> Coarse<'_, F> {
                 (t * d.x + b * d.y) + n * d.z
             }));
         }
+        if receiver.face().is_some() {
+            for cone in 0..chosen.len() {
+                let above = receiver.above([0, 1, 2].map(|axis| cones.directions[axis][cone]).into());
+                (0..3).for_each(|axis| cones.directions[axis][cone] = above[axis]);
+            }
+        }
         cones.origin = receiver.point();
         cones.lengths.clear();
         cones.lengths.extend(chosen.iter().map(|&i| options.radius * lengths[i]));

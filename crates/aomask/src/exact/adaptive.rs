@@ -51,8 +51,15 @@ pub struct Spent {
     pub rays: u64,
     /// Numbers of rays and how many receivers were answered by so many, growing.
     pub receivers: Vec<(u32, u64)>,
-    /// Expected root mean square error of `ao` over all receivers.
-    pub estimated_error: f64,
+    /// Expected root mean square error of `ao` over all receivers; `None` where no target was set.
+    pub estimated_error: Option<f64>,
+}
+
+impl Spent {
+    /// The same number of rays for `count` receivers.
+    pub fn uniform(rays: u32, count: u64) -> Self {
+        Self { rays: u64::from(rays) * count, receivers: vec![(rays, count)], estimated_error: None }
+    }
 }
 
 /// How many rays receivers of each class get.
@@ -159,7 +166,7 @@ impl Adaptive {
         }
         found.write(&mut outputs);
         run.spent.rays += total;
-        run.spent.estimated_error = plan.squared_error.sqrt();
+        run.spent.estimated_error = Some(plan.squared_error.sqrt());
         Ok(run.spent)
     }
 }
@@ -319,6 +326,7 @@ fn choose(errors: &[Vec<f64>], shares: &[f64], rays: &[f64], wanted: f64) -> Vec
 struct Room {
     ao: Vec<f32>,
     bent_normals: Option<Vec<[f32; 3]>>,
+    free_directions: Option<Vec<[f32; 3]>>,
     sectors: Option<(u32, Vec<f32>)>,
     hit_distances: Option<Vec<f32>>,
 }
@@ -330,6 +338,7 @@ impl Room {
         Self {
             ao: vec![0.0; count],
             bent_normals: outputs.bent_normals.as_ref().map(|_| vec![[0.0; 3]; count]),
+            free_directions: outputs.free_directions.as_ref().map(|_| vec![[0.0; 3]; count]),
             sectors,
             hit_distances: outputs.hit_distances.as_ref().map(|_| vec![0.0; count]),
         }
@@ -338,6 +347,7 @@ impl Room {
     fn outputs(&mut self) -> Outputs<'_> {
         let mut outputs = Outputs::new(&mut self.ao);
         outputs.bent_normals = self.bent_normals.as_deref_mut();
+        outputs.free_directions = self.free_directions.as_deref_mut();
         outputs.sectors = self.sectors.as_mut().map(|(n, values)| (*n, &mut values[..]));
         outputs.hit_distances = self.hit_distances.as_deref_mut();
         outputs
@@ -347,6 +357,9 @@ impl Room {
     fn take(&mut self, to: usize, other: &Self, from: usize) {
         self.ao[to] = other.ao[from];
         if let (Some(own), Some(other)) = (&mut self.bent_normals, &other.bent_normals) {
+            own[to] = other[from];
+        }
+        if let (Some(own), Some(other)) = (&mut self.free_directions, &other.free_directions) {
             own[to] = other[from];
         }
         if let (Some((n, own)), Some((_, other))) = (&mut self.sectors, &other.sectors) {
@@ -361,6 +374,9 @@ impl Room {
     fn write(self, outputs: &mut Outputs<'_>) {
         outputs.ao.copy_from_slice(&self.ao);
         if let (Some(to), Some(from)) = (&mut outputs.bent_normals, &self.bent_normals) {
+            to.copy_from_slice(from);
+        }
+        if let (Some(to), Some(from)) = (&mut outputs.free_directions, &self.free_directions) {
             to.copy_from_slice(from);
         }
         if let (Some((_, to)), Some((_, from))) = (&mut outputs.sectors, &self.sectors) {

@@ -126,7 +126,7 @@ fn in_blocks<A: Send>(
 
 /// Where the rays of a walk can get.
 #[inline(always)]
-fn hull(rays: &[Ray]) -> Hull {
+pub(super) fn hull(rays: &[Ray]) -> Hull {
     let valid = rays.iter().filter(|ray| ray.is_valid());
     let reach = valid.clone().map(|ray| f64::from(ray.tfar) * ray.direction.as_dvec3().length());
     let reach = reach.fold(0f64, f64::max).min(f64::INFINITY) as f32;

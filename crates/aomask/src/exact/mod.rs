@@ -22,7 +22,7 @@ use goal::{Blocked, Dimmed, Hit, Nearest};
 use kernel::{Hull, Job, Kernel};
 use rays::{GROUP, Part};
 use umbrage_accel::Bvh;
-use umbrage_geom::OpticalDepth;
+use umbrage_geom::{OpticalDepth, Ray};
 use walk::{Goal, Walk};
 
 /// Walks that take turns, so that one works while others wait for memory.
@@ -104,6 +104,8 @@ pub(crate) struct Masks<'a> {
     /// Whether distances are asked for.
     distances: bool,
     parts: Vec<Part<'a>>,
+    /// Rays end there if they are longer, world units.
+    limit: f32,
 }
 
 impl<'a> Masks<'a> {
@@ -122,7 +124,7 @@ impl<'a> Masks<'a> {
         options.validate(pattern)?;
         let distances = outputs.hit_distances.is_some();
         let parts = rays::parts(pattern, options.radius, limit);
-        Ok(Self { bvh, pattern, options, back_end, distances, parts })
+        Ok(Self { bvh, pattern, options, back_end, distances, parts, limit })
     }
 
     fn run(&self, receivers: &[Receiver], goal: &mut impl Goal, out: &mut [u64], walks: &mut [Walk]) {
@@ -207,11 +209,7 @@ impl<G: Goal> Job for Run<'_, G> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) {
         let Self { masks, part, receivers, goal, out, walks } = self;
-        for walk in walks.iter_mut().filter(|walk| walk.part != Some(part.first())) {
-            part.begin(0, &mut walk.rays);
-            walk.part = Some(part.first());
-        }
-        let mut source = ByReceiver { masks, part, receivers, next: 0, out };
+        let mut source = ByReceiver { masks, part, receivers, next: 0, out, mirrored: Vec::new() };
         take_turns(kernel, masks.bvh, walks, goal, &mut source);
     }
 }
@@ -223,23 +221,36 @@ struct ByReceiver<'a> {
     receivers: &'a [Receiver],
     next: usize,
     out: &'a mut [u64],
+    /// Rays of a receiver with a face.
+    mirrored: Vec<Ray>,
 }
 
 impl<G: Goal> Source<G> for ByReceiver<'_> {
     #[inline(always)]
     fn start(&mut self, walk: &mut Walk) -> bool {
-        let Self { masks: Masks { pattern, .. }, part, receivers, next, .. } = self;
+        let Self { masks: Masks { pattern, options, limit, .. }, part, receivers, next, mirrored, .. } = self;
         let Some(receiver) = receivers.get(*next) else { return false };
+        let first = *next * pattern.len() + part.first();
+        *next += 1;
+        if receiver.face().is_some() {
+            let rays = pattern.rays_of(receiver, options.radius).skip(part.first()).take(part.len());
+            mirrored.clear();
+            mirrored.extend(rays.map(|ray| ray.with_tfar(ray.tfar.min(*limit))));
+            walk.part = None;
+            walk.rays.load(mirrored);
+            walk.start(first, receiver.point().to_array(), fans::hull(mirrored));
+            return true;
+        }
         let (frame, member) = (pattern.frame_of(receiver), pattern.member_of(receiver));
-        if G::SHRINKS || part.has_many_ends() {
+        if G::SHRINKS || part.has_many_ends() || walk.part != Some(part.first()) {
             part.begin(member, &mut walk.rays);
+            walk.part = Some(part.first());
         }
         part.turn(member, &frame, &mut walk.rays);
         let cone = part.cone(member);
         let axis = frame.world_from_local(cone.axis).to_array();
         let hull = Hull::new(part.reach(member), frame.normal.to_array(), axis, cone.angle);
-        walk.start(*next * pattern.len() + part.first(), receiver.point().to_array(), hull);
-        *next += 1;
+        walk.start(first, receiver.point().to_array(), hull);
         true
     }
 

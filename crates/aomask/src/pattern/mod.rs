@@ -16,7 +16,8 @@
 //! direction = tangent * d.x + bitangent * d.y + normal * d.z      (d = directions[i]; (a + b) + c, no fused operation)
 //! ```
 //!
-//! with the receiver's member and the frame of [`Pattern::frame_of`], all in `f32`. Whoever computes the same casts the same rays,
+//! with the receiver's member and the frame of [`Pattern::frame_of`], all in `f32`. Rays of a receiver with a
+//! [face](Receiver::with_face) that lead below it are mirrored. Whoever computes the same casts the same rays,
 //! bit for bit. `tfar` is in units of `direction`, whose length is 1 to within 1e-6. A ray of length 0 is not
 //! [valid](Ray::is_valid): it hits nothing.
 
@@ -337,10 +338,11 @@ impl Pattern {
         receiver: &Receiver,
         radius: f32,
     ) -> impl ExactSizeIterator<Item = Ray> + use<'a> {
-        let (frame, origin, member) = (self.frame_of(receiver), receiver.point(), self.member_of(receiver));
+        let (receiver, frame, origin, member) =
+            (*receiver, self.frame_of(receiver), receiver.point(), self.member_of(receiver));
         self.directions(member).iter().zip(self.lengths(member)).map(move |(&d, &length)| Ray {
             origin,
-            direction: frame.world_from_local(d),
+            direction: receiver.above(frame.world_from_local(d)),
             tnear: 0.0,
             tfar: radius * length,
         })

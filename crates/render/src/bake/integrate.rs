@@ -1,35 +1,24 @@
 //! Ambient occlusion by single rays: what a receiver sees of a white sky.
 //!
-//! Falloff is sampled, not weighted: each ray is cut to a random length with the falloff's distribution
-//! ([`Falloff::length`]). The expected result is that of weighting the nearest hit, and any-hit queries and semi-transparent
+//! Rays are those of [`umbrage_aomask::pattern`], the same that masks have. Falloff is sampled, not weighted: each ray is cut to a
+//! length with the falloff's distribution ([`umbrage_geom::Falloff::length`]). The expected result is that of weighting the nearest hit, and any-hit queries and semi-transparent
 //! occluders need no special case (there, "nearest hit" generalizes to every crossing weighted by its own distance).
 
-use super::receivers::{Lobe, check_count};
-use super::{BakeError, BakeExtras, BakeOptions, Jitter, Receivers, Shard, bake_with};
-use crate::query::{Engine, LightRay, Occluders, QueryError};
-use rayon::prelude::*;
-use umbrage_geom::{
-    Falloff, Frame, Progress, Ray,
-    glam::{Vec2, Vec3},
-    morton, offset_origin,
-    sampling::{Rotation, combine, cosine_hemisphere, sobol_4d},
+use super::{
+    BakeError, BakeExtras, BakeOptions, Receivers, Shard, bake_with,
+    lobes::{self, Asked},
+    receivers::check_count,
 };
+use crate::query::{Engine, LightRay, Occluders, Sky};
+use rayon::prelude::*;
+use umbrage_aomask::Pattern;
+use umbrage_geom::{Progress, morton};
 
 /// Receivers that are computed together; they are neighbours in Morton order.
 const BLOCK: usize = 64;
 
 /// Rays that are traced together.
 const BATCH: usize = 1024;
-
-/// Least height of a ray above the surface it starts on, as a cosine.
-pub(super) const MIN_HEIGHT: f32 = 5e-4;
-
-/// Steps of the table of ray lengths: what interpolation in it changes of `ao` is below 1 / 4096, where a falloff jumps, and
-/// far below elsewhere. Asking [`Falloff::length`] for each ray took longer than tracing it (400 to 700 ns).
-const LENGTHS: u16 = 4096;
-
-/// Salt of the seed that turns patterns, so that it has nothing to do with the one that makes them.
-const TURN: u32 = 0x7475_726e;
 
 /// Blocks of receivers, the most [`Shard`]s that `receivers` of them can be split into.
 pub fn blocks(receivers: usize) -> usize {
@@ -47,7 +36,8 @@ pub fn blocks(receivers: usize) -> usize {
 /// Rays are cosine-weighted around the receiver's normal. Where that normal is a shading normal, rays that would start into
 /// the receiver's own triangle are mirrored at its plane, so that convex surfaces stay exactly 1.
 ///
-/// Methods with masks take one pattern of rays for all receivers, turned and tilted a little at random unless jitter is off.
+/// The mean of `ao` over seeds is openness without bias for any number of rays; vertices at the same place with the same normal
+/// get the same `ao`.
 ///
 /// # Errors
 /// Those of [`BakeOptions::validate`]; [`BakeError::Query`] with the reason if the method can't answer; [`BakeError::Mask`] for a
@@ -61,13 +51,13 @@ pub fn bake(
     ao: &mut [f32],
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), BakeError> {
-    bake_with(occluders, receivers, options, shard, ao, BakeExtras::default(), progress)
+    bake_with(occluders, receivers, options, shard, ao, BakeExtras::default(), progress).map(drop)
 }
 
 /// [`bake`] by an engine that answers rays.
 pub(super) fn bake_rays(
-    occluders: &Occluders,
     engine: &dyn Engine,
+    sky: &Sky,
     receivers: &Receivers,
     options: &BakeOptions,
     shard: Shard,
@@ -75,14 +65,13 @@ pub(super) fn bake_rays(
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), BakeError> {
     let mine = shard_of(receivers, shard, ao)?;
-    let integrator = Integrator::new(occluders.diagonal(), engine, receivers, options);
+    let pattern = Pattern::new(&sky.pattern)?;
     let progress = Progress::new(mine.len() as u64, progress);
     let results = mine
         .par_iter()
         .map_init(Scratch::default, |scratch, block| {
             progress.check()?;
-            let ao = |&i: &u32| integrator.ao(i as usize, scratch);
-            let values: Vec<f32> = block.iter().map(ao).collect::<Result<_, QueryError>>()?;
+            let values = block_ao(engine, (&pattern, sky.radius), receivers, options, block, scratch)?;
             progress.advance(1)?;
             Ok(values)
         })
@@ -112,114 +101,42 @@ pub(super) fn shard_of(receivers: &Receivers, shard: Shard, ao: &[f32]) -> Resul
     Ok(order.chunks(BLOCK).skip(index as usize).step_by(count as usize).map(<[u32]>::to_vec).collect())
 }
 
-/// `direction`, mirrored at the plane with the normal `face` if it leads below.
-pub(super) fn above(direction: Vec3, face: Vec3) -> Vec3 {
-    let height = direction.dot(face);
-    if height < MIN_HEIGHT {
-        (direction + face * (height.abs().max(MIN_HEIGHT) - height)).normalize()
-    } else {
-        direction
-    }
-}
-
-struct Integrator<'a> {
-    engine: &'a dyn Engine,
-    receivers: &'a Receivers,
-    options: &'a BakeOptions,
-    /// World units.
-    radius: f32,
-    /// Lengths in world units at evenly spaced random numbers from 0 to 1; empty if all have the radius.
-    lengths: Vec<f32>,
-    /// The one pattern of all receivers; empty if each has its own.
-    shared: Vec<Sample>,
-}
-
-/// What tells the rays of a receiver apart.
-#[derive(Clone, Copy)]
-struct Sample {
-    /// Around the z axis.
-    direction: Vec3,
-    /// Length, world units.
-    length: f32,
-    /// Random number in `[0, 1)` that chooses the lobe.
-    lobe: f32,
-}
-
+/// Rays of a receiver that are traced together, and what passed.
 #[derive(Default)]
 struct Scratch {
     rays: Vec<LightRay>,
     passed: Vec<f32>,
 }
 
-impl<'a> Integrator<'a> {
-    fn new(
-        diagonal: f32,
-        engine: &'a dyn Engine,
-        receivers: &'a Receivers,
-        options: &'a BakeOptions,
-    ) -> Self {
-        let radius = options.radius.resolve(diagonal);
-        let length = |i| options.falloff.length(f32::from(i) / f32::from(LENGTHS)) * radius;
-        let lengths = match options.falloff {
-            Falloff::Constant => Vec::new(),
-            _ => (0..=LENGTHS).map(length).collect(),
-        };
-        let mut integrator = Self { engine, receivers, options, radius, lengths, shared: Vec::new() };
-        if options.jitter != Jitter::Pattern {
-            integrator.shared = (0..options.rays).map(|i| integrator.sample(i, options.seed)).collect();
-        }
-        integrator
-    }
-
-    fn sample(&self, index: u32, seed: u32) -> Sample {
-        let [x, y, u, lobe] = sobol_4d(index, 0, seed);
-        let length = if self.lengths.is_empty() {
-            self.radius
-        } else {
-            let at = u * f32::from(LENGTHS);
-            let [low, high] = [self.lengths[at as usize], self.lengths[at as usize + 1]];
-            low + (high - low) * at.fract()
-        };
-        Sample { direction: cosine_hemisphere(Vec2::new(x, y)), length, lobe }
-    }
-
-    fn ao(&self, receiver: usize, scratch: &mut Scratch) -> Result<f32, QueryError> {
-        let lobes = self.receivers.lobes(receiver);
-        if lobes.is_empty() {
-            return Ok(1.0);
-        }
-        let seed = combine(self.options.seed, receiver as u32);
-        let rotation = match self.options.jitter {
-            Jitter::Rotation => Rotation::from_seed(seed ^ TURN),
-            Jitter::Pattern | Jitter::Off => Rotation::NONE,
-        };
-        let rays = self.options.rays as usize;
+/// `ao` of the receivers of a block.
+fn block_ao(
+    engine: &dyn Engine,
+    (pattern, radius): (&Pattern, f32),
+    receivers: &Receivers,
+    options: &BakeOptions,
+    block: &[u32],
+    scratch: &mut Scratch,
+) -> Result<Vec<f32>, BakeError> {
+    let asked = lobes::asked(receivers, block, options)?;
+    let open = |asked: &Asked| -> Result<f32, BakeError> {
+        let receiver = &asked.receiver;
+        let Scratch { rays: batch, passed } = &mut *scratch;
+        let directions = pattern.directions(pattern.member_of(receiver));
+        let mut rays = pattern.rays_of(receiver, radius).zip(directions);
         let mut light = 0.0;
-        for start in (0..rays).step_by(BATCH) {
-            let Scratch { rays: batch, passed } = &mut *scratch;
+        loop {
             batch.clear();
-            let share = std::f32::consts::PI / rays as f32;
-            batch.extend((start..rays.min(start + BATCH)).map(|i| {
-                let sample = match self.shared.get(i) {
-                    Some(sample) => Sample { direction: rotation.apply(sample.direction), ..*sample },
-                    None => self.sample(i as u32, seed),
-                };
-                let ray = self.ray(receiver, Lobe::choose(lobes, sample.lobe), &sample);
-                LightRay { ray, solid_angle: share / sample.direction.z.max(1e-3) }
-            }));
+            let next = rays.by_ref().take(BATCH);
+            batch.extend(next.map(|(ray, &d)| LightRay { ray, solid_angle: pattern.solid_angle(d) }));
+            if batch.is_empty() {
+                return Ok((light / pattern.len() as f64) as f32);
+            }
             passed.clear();
             passed.resize(batch.len(), 1.0);
-            self.engine.transmittances(batch, None, passed, None)?;
+            engine.transmittances(batch, None, passed, None)?;
             light += passed.iter().map(|&x| f64::from(x)).sum::<f64>();
         }
-        Ok((light / rays as f64) as f32)
-    }
-
-    fn ray(&self, receiver: usize, lobe: &Lobe, sample: &Sample) -> Ray {
-        let direction = above(Frame::from_normal(lobe.normal).world_from_local(sample.direction), lobe.face);
-        let magnitude = self.receivers.magnitudes[receiver];
-        let origin =
-            offset_origin(lobe.point, lobe.face, direction, magnitude) + lobe.face * self.options.bias;
-        Ray::new(origin, direction).with_tfar(sample.length)
-    }
+    };
+    let open = asked.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    Ok(lobes::means(&asked, &open, block.len()))
 }

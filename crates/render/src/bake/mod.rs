@@ -26,6 +26,7 @@
 
 mod error;
 mod integrate;
+mod lobes;
 mod mask;
 mod options;
 mod receivers;
@@ -42,6 +43,7 @@ pub use texel::{TexelImage, TexelMap, VAxis};
 
 use crate::query::{Answers, Occluders, QueryError, engine};
 use std::io::Write;
+use umbrage_aomask::exact::adaptive::Spent;
 
 /// What [`bake_with`] gives besides openness, by methods with masks.
 #[derive(Default)]
@@ -54,7 +56,7 @@ pub struct BakeExtras<'d, 'b> {
     pub bent_normals: Option<&'b mut [[f32; 3]]>,
 }
 
-/// [`bake`] with more results.
+/// [`bake`] with more results; says how many rays it took.
 ///
 /// # Errors
 /// Those of [`bake`]; [`BakeError::Query`] if a method without masks is asked for more than `ao`; [`BakeError::Dump`]. After an
@@ -67,17 +69,21 @@ pub fn bake_with(
     ao: &mut [f32],
     extras: BakeExtras<'_, '_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), BakeError> {
+) -> Result<Spent, BakeError> {
     options.validate()?;
     let sky = options.sky(occluders.diagonal());
     let engine = engine::sky(options.method, occluders, &sky, &mut |_| progress(0.0))?;
     let engine = &*engine;
     match engine.answers() {
         Answers::Receivers => {
-            mask::bake_receivers(engine, &sky, receivers, options, shard, (ao, extras), progress)
+            mask::bake_receivers(engine, sky.radius, receivers, options, shard, (ao, extras), progress)
         }
         Answers::Rays if extras.dump.is_none() && extras.bent_normals.is_none() => {
-            integrate::bake_rays(occluders, engine, receivers, options, shard, ao, progress)
+            integrate::bake_rays(engine, &sky, receivers, options, shard, ao, progress)?;
+            let part = integrate::shard_of(receivers, shard, ao)?;
+            let lobes = |&i: &u32| receivers.lobes(i as usize).len() as u64;
+            let count: u64 = part.iter().flatten().map(lobes).sum();
+            Ok(Spent::uniform(options.rays, count))
         }
         _ => {
             let reason = "rays and bent normals are written by methods with masks";

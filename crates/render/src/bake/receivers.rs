@@ -125,11 +125,6 @@ impl Lobe {
     pub fn share(lobes: &[Self], index: usize) -> f32 {
         lobes[index].share - if index == 0 { 0.0 } else { lobes[index - 1].share }
     }
-
-    /// The lobe that the random number `u` in `[0, 1)` belongs to. `lobes` is not empty.
-    pub fn choose(lobes: &[Self], u: f32) -> &Self {
-        &lobes[lobes.partition_point(|lobe| lobe.share <= u).min(lobes.len() - 1)]
-    }
 }
 
 pub(super) fn check_count(count: usize) -> Result<(), BakeError> {

@@ -15,6 +15,7 @@ use anyhow::{Context, Result, ensure};
 use serde_json::json;
 use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
 use umbrage_aomask::Sides;
+use umbrage_aomask::exact::adaptive::Spent;
 use umbrage_geom::{Falloff, TriangleMesh};
 use umbrage_scene::{Points, Radius, Scene, read_mesh, read_points};
 
@@ -220,7 +221,7 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
     {
         ensure!(
             !given || has_masks(method),
-            "{name} needs a method with masks: --method mask, mask-prefilter or mask-table, with 32 to 1024 rays, a multiple of 32"
+            "{name} needs a method with masks: --method mask, mask-prefilter or mask-table, with a multiple of 8 rays up to 1024"
         );
     }
     ensure!(
@@ -327,22 +328,27 @@ fn bake_and_write(
         let extras = BakeExtras { dump, bent_normals: bent.as_deref_mut() };
         bake_with(&occluders, &receivers, options, part, &mut ao, extras, &mut report)
     };
-    match &arguments.dump_rays {
+    let spent = match &arguments.dump_rays {
         None => run(None).map_err(interrupted)?,
         Some(path) => {
-            let mut failure = None;
-            let written = umbrage_scene::write_atomically(path, |out| {
-                run(Some(out)).map_err(|error| {
+            let (mut failure, mut spent) = (None, Spent::default());
+            let written = umbrage_scene::write_atomically(path, |out| match run(Some(out)) {
+                Ok(by_run) => {
+                    spent = by_run;
+                    Ok(())
+                }
+                Err(error) => {
                     failure = Some(error);
-                    std::io::ErrorKind::Other.into()
-                })
+                    Err(std::io::ErrorKind::Other.into())
+                }
             });
             match failure {
                 Some(error) => return Err(interrupted(error)),
                 None => written?,
             }
+            spent
         }
-    }
+    };
     let bake_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let baked_here = ao.iter().filter(|ao| !ao.is_nan()).count();
@@ -354,7 +360,9 @@ fn bake_and_write(
         }
     }
     if let Some(path) = &arguments.stats {
-        let rays = baked_here as u64 * u64::from(options.rays);
+        let rays = spent.rays;
+        let by_rays =
+            spent.receivers.iter().map(|&(rays, count)| json!({ "rays": rays, "receivers": count }));
         let stats = json!({
             "umbrage": env!("CARGO_PKG_VERSION"),
             "mesh": source(),
@@ -363,6 +371,9 @@ fn bake_and_write(
             "triangles": meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
             "receivers": baked_here,
             "rays": rays,
+            "receivers_by_rays": by_rays.collect::<Vec<_>>(),
+            "target_error": options.target_error,
+            "estimated_error": spent.estimated_error,
             "radius": Some(options.radius.resolve(occluders.diagonal())).filter(|r| r.is_finite()),
             "threads": rayon::current_num_threads(),
             "load_s": load_s,

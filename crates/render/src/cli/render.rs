@@ -42,6 +42,10 @@ pub struct RenderArguments {
     /// Camera samples a pixel.
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
+    /// Choose the samples of lights and sky so that the layers shadow and ao have about this root mean square error. The scene's
+    /// numbers of samples are not used then. For exact methods.
+    #[arg(long, value_name = "E")]
+    target_error: Option<f32>,
     /// Image size in pixels.
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
@@ -167,7 +171,8 @@ fn render_and_write(
     let count_cost = is_exr || arguments.heatmap.is_some() || arguments.stats.is_some();
     let options = RenderOptions::default()
         .with_shard(arguments.shard.unwrap_or(ShardSpec::WHOLE))
-        .with_count_cost(count_cost);
+        .with_count_cost(count_cost)
+        .with_target_error(arguments.target_error);
     let start = Instant::now();
     let rendered = render(scene, &occluders, &options, &mut |f| bar.report(f)).map_err(interrupted)?;
     let render_s = start.elapsed().as_secs_f64();
@@ -178,6 +183,7 @@ fn render_and_write(
         Some(shard) => {
             let mut fingerprint = Fingerprint::default();
             fingerprint.scene(scene);
+            fingerprint.words(arguments.target_error.map(f32::to_bits));
             let part = Part { shard, tile_size: TILE, fingerprint: fingerprint.finish(), exposure };
             image::write_part(output, &rendered.film, &part)?;
         }
@@ -212,6 +218,9 @@ fn write_stats(
 ) -> Result<()> {
     let settings = &scene.settings;
     let rays = rendered.rays;
+    let [shadow_samples, ao_samples] = rendered
+        .samples
+        .map_or([settings.shadow_samples, settings.ao_samples], |samples| [samples.shadow, samples.ao]);
     let total = rays.camera + rays.shadow + rays.ambient;
     let (structure_bytes, geometry_bytes) = occluders.bytes();
     let method = |used: MethodUsed| json!({ "method": used.name, "reason": used.reason });
@@ -229,8 +238,13 @@ fn write_stats(
         "width": settings.width,
         "height": settings.height,
         "spp": settings.spp,
-        "shadow_samples": settings.shadow_samples,
-        "ao_samples": settings.ao_samples,
+        "shadow_samples": shadow_samples,
+        "ao_samples": ao_samples,
+        "target_error": arguments.target_error,
+        "estimated_error": rendered.samples.map(|samples| json!({
+            "shadow": samples.shadow_error,
+            "ao": samples.ao_error,
+        })),
         "seed": settings.seed,
         "shadows": method(rendered.shadows),
         "ao": method(rendered.ao),

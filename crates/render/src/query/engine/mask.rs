@@ -5,9 +5,11 @@ use crate::query::{AoMethod, Occluders, QueryError};
 use umbrage_accel::Bvh;
 use umbrage_aomask::{
     BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides,
-    exact::{self, adaptive::Adaptive, fans},
+    exact::{
+        self,
+        adaptive::{Adaptive, Spent},
+    },
 };
-use umbrage_geom::{OpticalDepth, Ray};
 
 pub(super) struct Mask<'a> {
     occluders: &'a Occluders,
@@ -23,17 +25,8 @@ impl<'a> Mask<'a> {
         let method = AoMethod::Mask.name();
         let bvh = one_mesh(method, occluders.flat())?;
         let (pattern, options) = sky.masks()?;
-        let needs_opaque = [
-            (options.sides == Sides::FrontFirst, super::FRONT_FIRST_NEEDS_OPAQUE),
-            (
-                sky.target_error.is_some(),
-                "some triangles are semi-transparent, and a target error needs opaque ones",
-            ),
-        ];
-        if let Some((_, reason)) =
-            needs_opaque.into_iter().find(|(needed, _)| *needed && !occluders.is_opaque())
-        {
-            return Err(QueryError::Unsupported { method, reason });
+        if options.sides == Sides::FrontFirst && !occluders.is_opaque() {
+            return Err(QueryError::Unsupported { method, reason: super::FRONT_FIRST_NEEDS_OPAQUE });
         }
         let adaptive = match sky.target_error {
             Some(target) => Some((Adaptive::new(&sky.pattern)?, target)),
@@ -52,12 +45,8 @@ impl Engine for Mask<'_> {
         Answers::Receivers
     }
 
-    fn answers_listed(&self) -> bool {
-        true
-    }
-
-    fn has_fractions(&self) -> bool {
-        !self.occluders.is_opaque()
+    fn pattern(&self) -> Option<&Pattern> {
+        Some(&self.pattern)
     }
 
     fn sky(
@@ -65,34 +54,24 @@ impl Engine for Mask<'_> {
         receivers: &[Receiver],
         outputs: Outputs<'_>,
         progress: Report<'_>,
-    ) -> Result<(), QueryError> {
-        let Self { bvh, pattern, options, .. } = self;
-        let best = BackEnd::best();
-        if let Some((adaptive, target)) = &self.adaptive {
-            let mut used = vec![0; receivers.len()];
-            adaptive
-                .answer_receivers(bvh, receivers, options, *target, best, outputs, &mut used, progress)?;
-        } else if self.occluders.is_opaque() {
-            exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)?;
-        } else {
+    ) -> Result<Spent, QueryError> {
+        let mut ask = |pattern: &Pattern,
+                       receivers: &[Receiver],
+                       outputs: Outputs<'_>,
+                       progress: Report<'_>| {
+            let (Self { bvh, options, .. }, best) = (self, BackEnd::best());
+            if self.occluders.is_opaque() {
+                return exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress);
+            }
             let depth = |prim| self.occluders.flat_depth(prim);
-            exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, progress)?;
+            exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, progress)
+        };
+        match &self.adaptive {
+            Some((adaptive, target)) => Ok(adaptive.answer(receivers, *target, &mut ask, outputs, progress)?),
+            None => {
+                ask(&self.pattern, receivers, outputs, progress)?;
+                Ok(Spent::uniform(self.pattern.len() as u32, receivers.len() as u64))
+            }
         }
-        Ok(())
-    }
-
-    fn listed(&self, rays: &[Ray], per_receiver: usize, passed: &mut [f32]) -> Result<(), QueryError> {
-        let (bvh, sides, best) = (self.bvh, self.options.sides, BackEnd::best());
-        if self.occluders.is_opaque() {
-            let mut hits = vec![false; rays.len()];
-            fans::any_hits(bvh, rays, per_receiver, sides, best, &mut hits)?;
-            hits.into_iter().zip(passed).for_each(|(hit, out)| *out = f32::from(u8::from(!hit)));
-        } else {
-            let mut sums = vec![OpticalDepth::CLEAR; rays.len()];
-            let depth = |prim| self.occluders.flat_depth(prim);
-            fans::transmittances(bvh, rays, per_receiver, sides, depth, best, &mut sums)?;
-            sums.into_iter().zip(passed).for_each(|(sum, out)| *out = sum.transmittance());
-        }
-        Ok(())
     }
 }

@@ -7,7 +7,9 @@ use crate::{
 };
 use std::sync::Arc;
 use umbrage_accel::Bvh;
-use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides, coarse, exact};
+use umbrage_aomask::{
+    BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides, coarse, exact, exact::adaptive::Spent,
+};
 
 pub(super) struct MaskPrefilter<'a> {
     bvh: &'a Bvh,
@@ -46,6 +48,10 @@ impl Engine for MaskPrefilter<'_> {
         Answers::Receivers
     }
 
+    fn pattern(&self) -> Option<&Pattern> {
+        Some(&self.pattern)
+    }
+
     fn note(&self) -> Option<&'static str> {
         match self.near {
             Some(_) => None,
@@ -58,7 +64,7 @@ impl Engine for MaskPrefilter<'_> {
         receivers: &[Receiver],
         outputs: Outputs<'_>,
         progress: Report<'_>,
-    ) -> Result<(), QueryError> {
+    ) -> Result<Spent, QueryError> {
         let (Self { bvh, pattern, options, .. }, best) = (self, BackEnd::best());
         if let Some(near) = self.near {
             let far = self.far.cones(pattern.len(), near, options.radius)?;
@@ -66,6 +72,6 @@ impl Engine for MaskPrefilter<'_> {
         } else {
             exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)?;
         }
-        Ok(())
+        Ok(Spent::uniform(pattern.len() as u32, receivers.len() as u64))
     }
 }

@@ -14,7 +14,10 @@ mod solid;
 
 use super::{AoMethod, Occluders, QueryError, SceneKind, ShadowMethod, View};
 use umbrage_accel::Counters;
-use umbrage_aomask::{MaskOptions, Outputs, Pattern, PatternOptions, RasterView, Receiver, Sides};
+use umbrage_aomask::{
+    MaskOptions, Outputs, Pattern, PatternOptions, Points, RasterView, Receiver, Sides,
+    exact::adaptive::Spent,
+};
 use umbrage_geom::Ray;
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 
@@ -69,7 +72,7 @@ pub trait Engine: Sync {
         Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer single rays" })
     }
 
-    /// Answers how open the sky is over each receiver.
+    /// Answers how open the sky is over each receiver, and says how many rays it took.
     ///
     /// # Errors
     /// [`QueryError::Unsupported`] unless [`Self::answers`] is [`Answers::Receivers`]; [`QueryError::Mask`];
@@ -79,7 +82,7 @@ pub trait Engine: Sync {
         receivers: &[Receiver],
         outputs: Outputs<'_>,
         progress: Report<'_>,
-    ) -> Result<(), QueryError> {
+    ) -> Result<Spent, QueryError> {
         let _ = (receivers, outputs, progress);
         Err(QueryError::Unsupported { method: self.name(), reason: "it does not choose rays for receivers" })
     }
@@ -100,24 +103,9 @@ pub trait Engine: Sync {
         Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer whole images" })
     }
 
-    /// Answers rays that the caller lists, `per_receiver` of each receiver in turn, which share their origin: writes the fraction
-    /// of light that passes along each.
-    ///
-    /// # Errors
-    /// [`QueryError::Unsupported`] unless [`Self::answers_listed`]; [`QueryError::Mask`].
-    fn listed(&self, rays: &[Ray], per_receiver: usize, passed: &mut [f32]) -> Result<(), QueryError> {
-        let _ = (rays, per_receiver, passed);
-        Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer listed rays" })
-    }
-
-    /// Whether [`Self::listed`] answers, with what [`Self::sky`] would answer for the same rays.
-    fn answers_listed(&self) -> bool {
-        false
-    }
-
-    /// Whether light may pass along a ray in part, which masks don't tell.
-    fn has_fractions(&self) -> bool {
-        false
+    /// The rays that receivers have, by engines that answer receivers.
+    fn pattern(&self) -> Option<&Pattern> {
+        None
     }
 
     /// What was made of the occluders so far, by engines that make it when rays come near.
@@ -172,7 +160,16 @@ impl Sky {
 
     /// The pattern and the options of masks, checked.
     fn masks(&self) -> Result<(Pattern, MaskOptions), QueryError> {
-        let (pattern, options) = (Pattern::new(&self.pattern)?, self.options());
+        self.checked(&self.pattern)
+    }
+
+    /// [`Self::masks`] with one set of rays for all receivers, turned as asked for.
+    fn masks_of_tables(&self) -> Result<(Pattern, MaskOptions), QueryError> {
+        self.checked(&self.pattern.clone().with_points(Points::Middles))
+    }
+
+    fn checked(&self, pattern: &PatternOptions) -> Result<(Pattern, MaskOptions), QueryError> {
+        let (pattern, options) = (Pattern::new(pattern)?, self.options());
         options.validate(&pattern)?;
         Ok((pattern, options))
     }
@@ -183,7 +180,7 @@ const FRONT_FIRST_NEEDS_OPAQUE: &str =
 
 /// Whether masks can have so many rays.
 pub fn mask_rays(rays: u32) -> bool {
-    (32..=Pattern::MAX_RAYS).contains(&rays) && rays.is_multiple_of(32)
+    (8..=Pattern::MAX_MASK_RAYS).contains(&rays) && rays.is_multiple_of(8)
 }
 
 /// The engine of a shadow method.

@@ -1,0 +1,64 @@
+//! The lobes of receivers as what engines answer: one question a lobe.
+
+use super::{BakeError, BakeOptions, Receivers, receivers::Lobe};
+use umbrage_aomask::Receiver;
+use umbrage_geom::{glam::Vec3, offset_origin};
+
+/// A lobe of a receiver.
+pub(super) struct Asked {
+    pub receiver: Receiver,
+    /// Index into the receivers of the shard.
+    pub slot: usize,
+    /// Share of the lobe in the receiver's answer.
+    pub share: f32,
+}
+
+/// The lobes of the receivers `mine`. Lobes at the same place with the same normal have the same rays, whatever their index.
+///
+/// # Errors
+/// [`BakeError::Mask`] for a point or normal that is not usable.
+pub(super) fn asked(
+    receivers: &Receivers,
+    mine: &[u32],
+    options: &BakeOptions,
+) -> Result<Vec<Asked>, BakeError> {
+    let mut asked = Vec::new();
+    for (slot, &index) in mine.iter().enumerate() {
+        let index = index as usize;
+        let lobes = receivers.lobes(index);
+        for (number, lobe) in lobes.iter().enumerate() {
+            let origin = offset_origin(lobe.point, lobe.face, lobe.face, receivers.magnitudes[index])
+                + lobe.face * options.bias;
+            let seed = Receiver::seed_of(lobe.point.to_array(), lobe.normal.to_array(), options.seed);
+            let receiver = Receiver::new(index, origin.to_array(), lobe.normal.to_array(), seed)?;
+            let receiver = receiver.with_face(lobe.face.to_array());
+            asked.push(Asked { receiver, slot, share: Lobe::share(lobes, number) });
+        }
+    }
+    Ok(asked)
+}
+
+/// Means over the lobes of each of `count` receivers; receivers without a direction are open.
+pub(super) fn means(asked: &[Asked], open: &[f32], count: usize) -> Vec<f32> {
+    let mut means = vec![1.0; count];
+    let mut last = usize::MAX;
+    for (&Asked { slot, share, .. }, open) in asked.iter().zip(open) {
+        if slot != last {
+            means[slot] = 0.0;
+        }
+        means[slot] += share * open;
+        last = slot;
+    }
+    means
+}
+
+/// Bent normals of each of `count` receivers from the free directions of their lobes: the mean normal where nothing passes.
+pub(super) fn bent_normals(asked: &[Asked], free: &[[f32; 3]], count: usize) -> Vec<[f32; 3]> {
+    let mut sums = vec![(Vec3::ZERO, Vec3::ZERO); count];
+    for (&Asked { receiver, slot, share, .. }, &free) in asked.iter().zip(free) {
+        sums[slot].0 += Vec3::from(free) * share;
+        sums[slot].1 += receiver.normal() * share;
+    }
+    let unit = |(free, normal): (Vec3, Vec3)| free.try_normalize().unwrap_or(normal.normalize_or_zero());
+    sums.into_iter().map(|sums| unit(sums).to_array()).collect()
+}
