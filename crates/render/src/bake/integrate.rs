@@ -61,7 +61,7 @@ pub fn bake(
     ao: &mut [f32],
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), BakeError> {
-    bake_with(occluders, receivers, options, shard, ao, BakeExtras::default(), progress)
+    bake_with(occluders, receivers, options, shard, ao, BakeExtras::default(), progress).map(drop)
 }
 
 /// [`bake`] by an engine that answers rays.

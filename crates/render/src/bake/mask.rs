@@ -5,9 +5,9 @@ use super::{
     BakeError, BakeExtras, BakeOptions, Receivers, Shard,
     integrate::{MIN_HEIGHT, above, shard_of},
 };
-use crate::query::{Engine, Sky};
+use crate::query::{Engine, QueryError};
 use std::io::{self, Write};
-use umbrage_aomask::{Outputs, Pattern, Receiver};
+use umbrage_aomask::{Outputs, Pattern, Receiver, exact::adaptive::Spent};
 use umbrage_geom::{Ray, glam::Vec3, offset_origin, sampling::combine};
 
 /// Receivers whose rays are listed at a time.
@@ -16,13 +16,13 @@ const LISTED: usize = 1 << 10;
 /// [`super::bake`] by an engine that answers receivers.
 pub(super) fn bake_receivers(
     engine: &dyn Engine,
-    sky: &Sky,
+    radius: f32,
     receivers: &Receivers,
     options: &BakeOptions,
     shard: Shard,
     (ao, extras): (&mut [f32], BakeExtras<'_, '_>),
     progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), BakeError> {
+) -> Result<Option<Spent>, BakeError> {
     if options.target_error.is_some() && (extras.dump.is_some() || extras.bent_normals.is_some()) {
         return Err(BakeError::TargetError("only ao, by method mask, can be baked to a target error"));
     }
@@ -32,16 +32,18 @@ pub(super) fn bake_receivers(
         return Err(BakeError::Length { what: "bent normals", actual, expected });
     }
     let mine: Vec<u32> = shard_of(receivers, shard, ao)?.concat();
-    let pattern = Pattern::new(&sky.pattern)?;
+    let reason = "it does not answer receivers";
+    let unsupported = QueryError::Unsupported { method: engine.name(), reason };
+    let pattern = engine.pattern().ok_or(unsupported)?;
     let asked = lobes(receivers, &mine, options)?;
     let (directions, masks) = (bent_normals.is_some(), dump.is_some());
-    let job = Job { engine, pattern: &pattern, radius: sky.radius, asked: &asked, directions, masks };
+    let job = Job { engine, pattern, radius, asked: &asked, directions, masks };
     let answers = if engine.answers_listed() { job.exact(progress)? } else { job.all(progress)? };
     if let Some(out) = dump {
         job.dump(&answers, out).map_err(BakeError::Dump)?;
     }
     write(&mine, &asked, &answers, ao, bent_normals);
-    Ok(())
+    Ok(answers.spent)
 }
 
 /// A lobe of a receiver.
@@ -78,6 +80,8 @@ struct Answers {
     directions: Vec<Vec3>,
     /// Bits of rays that nothing passes; empty unless wanted.
     masks: Vec<u64>,
+    /// What a target error took.
+    spent: Option<Spent>,
 }
 
 struct Job<'a> {
@@ -98,6 +102,7 @@ impl Job<'_> {
             open: vec![1.0; count],
             directions: vec![Vec3::ZERO; if self.directions { count } else { 0 }],
             masks: vec![0; if self.masks { count * self.pattern.words() } else { 0 }],
+            spent: None,
         }
     }
 
@@ -115,7 +120,7 @@ impl Job<'_> {
         if !answers.masks.is_empty() {
             outputs = outputs.with_masks(&mut answers.masks);
         }
-        self.engine.sky(&receivers, outputs, progress)?;
+        answers.spent = self.engine.sky(&receivers, outputs, progress)?;
         let masks = answers.masks.chunks(words);
         for ((direction, receiver), mask) in answers.directions.iter_mut().zip(&receivers).zip(masks) {
             *direction = self.pattern.free_direction(receiver, mask)?.into();
@@ -142,6 +147,10 @@ impl Job<'_> {
             return Ok(part);
         }
         let mut answers = self.room(self.asked.len());
+        answers.spent = part.spent.map(|mut spent| {
+            spent.rays += (listed.len() * pattern.len()) as u64;
+            spent
+        });
         let words = pattern.words();
         for (i, &to) in plain.iter().enumerate() {
             answers.open[to] = part.open[i];

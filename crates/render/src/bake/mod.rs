@@ -42,6 +42,7 @@ pub use texel::{TexelImage, TexelMap, VAxis};
 
 use crate::query::{Answers, Occluders, QueryError, engine};
 use std::io::Write;
+use umbrage_aomask::exact::adaptive::Spent;
 
 /// What [`bake_with`] gives besides openness, by methods with masks.
 #[derive(Default)]
@@ -54,7 +55,7 @@ pub struct BakeExtras<'d, 'b> {
     pub bent_normals: Option<&'b mut [[f32; 3]]>,
 }
 
-/// [`bake`] with more results.
+/// [`bake`] with more results. Returns what a target error took, if there is one.
 ///
 /// # Errors
 /// Those of [`bake`]; [`BakeError::Query`] if a method without masks is asked for more than `ao`; [`BakeError::Dump`]. After an
@@ -67,17 +68,18 @@ pub fn bake_with(
     ao: &mut [f32],
     extras: BakeExtras<'_, '_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), BakeError> {
+) -> Result<Option<Spent>, BakeError> {
     options.validate()?;
     let sky = options.sky(occluders.diagonal());
     let engine = engine::sky(options.method, occluders, &sky, &mut |_| progress(0.0))?;
     let engine = &*engine;
     match engine.answers() {
         Answers::Receivers => {
-            mask::bake_receivers(engine, &sky, receivers, options, shard, (ao, extras), progress)
+            mask::bake_receivers(engine, sky.radius, receivers, options, shard, (ao, extras), progress)
         }
         Answers::Rays if extras.dump.is_none() && extras.bent_normals.is_none() => {
-            integrate::bake_rays(occluders, engine, receivers, options, shard, ao, progress)
+            integrate::bake_rays(occluders, engine, receivers, options, shard, ao, progress)?;
+            Ok(None)
         }
         _ => {
             let reason = "rays and bent normals are written by methods with masks";

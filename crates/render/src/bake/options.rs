@@ -2,7 +2,7 @@
 
 use super::BakeError;
 use crate::query::{AoMethod, Sky};
-use umbrage_aomask::{PatternOptions, Sides};
+use umbrage_aomask::{PatternOptions, Points, Sides};
 use umbrage_geom::Falloff;
 use umbrage_scene::Radius;
 
@@ -27,8 +27,8 @@ pub struct BakeOptions {
     /// Distance by which rays start above the surface, world units, beyond what rounding asks for. 0 is right for
     /// receivers that lie on the mesh; points that were made with less care may need more.
     pub bias: f32,
-    /// Standard error of `ao` to aim at, more than 0: each receiver gets as many rays as that takes by an estimate, up to
-    /// [`Self::rays`]. Only for [`AoMethod::Mask`], among opaque occluders.
+    /// Root mean square error of `ao` over all receivers to aim at, more than 0: each receiver gets as many rays as that takes by an
+    /// estimate, up to [`Self::rays`]. Only for [`AoMethod::Mask`].
     pub target_error: Option<f32>,
 }
 
@@ -155,8 +155,8 @@ impl BakeOptions {
             .with_seed(self.seed);
         let pattern = match self.jitter {
             Jitter::Pattern => pattern,
-            Jitter::Rotation => pattern.with_jitter(1.0, 0.0),
-            Jitter::Off => pattern.with_jitter(0.0, 0.0),
+            Jitter::Rotation => pattern.with_points(Points::Middles),
+            Jitter::Off => pattern.fixed(),
         };
         let sky = Sky::new(pattern, self.radius.resolve(diagonal)).with_sides(self.sides);
         Sky { target_error: self.target_error, ..sky }

@@ -220,7 +220,7 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
     {
         ensure!(
             !given || has_masks(method),
-            "{name} needs a method with masks: --method mask, mask-prefilter or mask-table, with 32 to 1024 rays, a multiple of 32"
+            "{name} needs a method with masks: --method mask, mask-prefilter or mask-table, with 8 to 1024 rays, a multiple of 8"
         );
     }
     ensure!(
@@ -327,12 +327,13 @@ fn bake_and_write(
         let extras = BakeExtras { dump, bent_normals: bent.as_deref_mut() };
         bake_with(&occluders, &receivers, options, part, &mut ao, extras, &mut report)
     };
+    let mut spent = None;
     match &arguments.dump_rays {
-        None => run(None).map_err(interrupted)?,
+        None => spent = run(None).map_err(interrupted)?,
         Some(path) => {
             let mut failure = None;
             let written = umbrage_scene::write_atomically(path, |out| {
-                run(Some(out)).map_err(|error| {
+                run(Some(out)).map(drop).map_err(|error| {
                     failure = Some(error);
                     std::io::ErrorKind::Other.into()
                 })
@@ -354,7 +355,10 @@ fn bake_and_write(
         }
     }
     if let Some(path) = &arguments.stats {
-        let rays = baked_here as u64 * u64::from(options.rays);
+        let rays = match &spent {
+            Some(spent) => spent.rays,
+            None => baked_here as u64 * u64::from(options.rays),
+        };
         let stats = json!({
             "umbrage": env!("CARGO_PKG_VERSION"),
             "mesh": source(),
@@ -363,6 +367,9 @@ fn bake_and_write(
             "triangles": meshes.iter().map(|m| m.triangles.len()).sum::<usize>(),
             "receivers": baked_here,
             "rays": rays,
+            "target_error": options.target_error,
+            "estimated_error": spent.as_ref().map(|spent| spent.estimated_error),
+            "receivers_by_rays": spent.as_ref().map(|spent| &spent.receivers),
             "radius": Some(options.radius.resolve(occluders.diagonal())).filter(|r| r.is_finite()),
             "threads": rayon::current_num_threads(),
             "load_s": load_s,

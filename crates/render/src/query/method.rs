@@ -34,7 +34,7 @@ pub struct Needs {
     pub one_mesh: bool,
     /// Receivers are what a pinhole camera sees.
     pub pinhole: bool,
-    /// Each receiver has 32 to 1024 rays, a multiple of 32.
+    /// Each receiver has 8 to 1024 rays, a multiple of 8.
     pub mask_rays: bool,
 }
 
@@ -78,7 +78,7 @@ impl fmt::Display for Needs {
             (self.opaque, "opaque triangles"),
             (self.one_mesh, "instances in one mesh"),
             (self.pinhole, "a pinhole camera"),
-            (self.mask_rays, "32 to 1024 rays, a multiple of 32"),
+            (self.mask_rays, "8 to 1024 rays, a multiple of 8"),
         ];
         let needed: Vec<&str> =
             needs.into_iter().filter_map(|(is_needed, text)| is_needed.then_some(text)).collect();

@@ -56,7 +56,7 @@ pub fn sky<'a>(
     let (method, reason) = match selection {
         Selection::Method(method) => (method, ASKED_FOR),
         Selection::Auto if !mask_rays(sky.pattern.rays) => {
-            (AoMethod::Rays, "exact; masks need 32 to 1024 rays, a multiple of 32")
+            (AoMethod::Rays, "exact; masks need 8 to 1024 rays, a multiple of 8")
         }
         Selection::Auto if occluders.is_instanced() => {
             (AoMethod::Rays, "exact; instances are kept apart, and masks need them in one mesh")

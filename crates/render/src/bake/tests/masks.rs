@@ -123,7 +123,7 @@ fn masks_name_what_they_cannot_do() {
     };
     for method in [AoMethod::MaskTable, AoMethod::Mask] {
         let odd = call(&opaque, 33, method, Sides::Both, true);
-        assert!(matches!(odd, Err(BakeError::Mask(umbrage_aomask::MaskError::Rays(33)))));
+        assert!(matches!(odd, Err(BakeError::Mask(umbrage_aomask::MaskError::Rays { rays: 33, .. }))));
         assert!(matches!(call(&opaque, 64, method, Sides::Both, false), Err(BakeError::Cancelled)));
         let error = call(&veil, 64, method, Sides::FrontFirst, true).unwrap_err();
         assert!(is_unsupported(&error, "semi-transparent"), "{error}");

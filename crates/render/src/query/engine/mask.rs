@@ -4,8 +4,12 @@ use super::{Answers, Engine, Report, Sky, one_mesh};
 use crate::query::{AoMethod, Occluders, QueryError};
 use umbrage_accel::Bvh;
 use umbrage_aomask::{
-    BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides,
-    exact::{self, adaptive::Adaptive, fans},
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
+    exact::{
+        self,
+        adaptive::{Adaptive, Spent},
+        fans,
+    },
 };
 use umbrage_geom::{OpticalDepth, Ray};
 
@@ -23,23 +27,30 @@ impl<'a> Mask<'a> {
         let method = AoMethod::Mask.name();
         let bvh = one_mesh(method, occluders.flat())?;
         let (pattern, options) = sky.masks()?;
-        let needs_opaque = [
-            (options.sides == Sides::FrontFirst, super::FRONT_FIRST_NEEDS_OPAQUE),
-            (
-                sky.target_error.is_some(),
-                "some triangles are semi-transparent, and a target error needs opaque ones",
-            ),
-        ];
-        if let Some((_, reason)) =
-            needs_opaque.into_iter().find(|(needed, _)| *needed && !occluders.is_opaque())
-        {
-            return Err(QueryError::Unsupported { method, reason });
+        if options.sides == Sides::FrontFirst && !occluders.is_opaque() {
+            return Err(QueryError::Unsupported { method, reason: super::FRONT_FIRST_NEEDS_OPAQUE });
         }
         let adaptive = match sky.target_error {
             Some(target) => Some((Adaptive::new(&sky.pattern)?, target)),
             None => None,
         };
         Ok(Self { occluders, bvh, pattern, options, adaptive })
+    }
+
+    /// Answers receivers by the rays of a pattern.
+    fn answer(
+        &self,
+        pattern: &Pattern,
+        receivers: &[Receiver],
+        outputs: Outputs<'_>,
+        progress: Report<'_>,
+    ) -> Result<(), MaskError> {
+        let (Self { bvh, options, .. }, best) = (self, BackEnd::best());
+        if self.occluders.is_opaque() {
+            return exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress);
+        }
+        let depth = |prim| self.occluders.flat_depth(prim);
+        exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, progress)
     }
 }
 
@@ -50,6 +61,10 @@ impl Engine for Mask<'_> {
 
     fn answers(&self) -> Answers {
         Answers::Receivers
+    }
+
+    fn pattern(&self) -> Option<&Pattern> {
+        Some(&self.pattern)
     }
 
     fn answers_listed(&self) -> bool {
@@ -65,20 +80,17 @@ impl Engine for Mask<'_> {
         receivers: &[Receiver],
         outputs: Outputs<'_>,
         progress: Report<'_>,
-    ) -> Result<(), QueryError> {
-        let Self { bvh, pattern, options, .. } = self;
-        let best = BackEnd::best();
-        if let Some((adaptive, target)) = &self.adaptive {
-            let mut used = vec![0; receivers.len()];
-            adaptive
-                .answer_receivers(bvh, receivers, options, *target, best, outputs, &mut used, progress)?;
-        } else if self.occluders.is_opaque() {
-            exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)?;
-        } else {
-            let depth = |prim| self.occluders.flat_depth(prim);
-            exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, progress)?;
+    ) -> Result<Option<Spent>, QueryError> {
+        let mut ask =
+            |pattern: &Pattern, receivers: &[Receiver], outputs: Outputs<'_>, progress: Report<'_>| {
+                self.answer(pattern, receivers, outputs, progress)
+            };
+        match &self.adaptive {
+            Some((adaptive, target)) => {
+                Ok(Some(adaptive.answer(receivers, *target, &mut ask, outputs, progress)?))
+            }
+            None => ask(&self.pattern, receivers, outputs, progress).map(|()| None).map_err(QueryError::from),
         }
-        Ok(())
     }
 
     fn listed(&self, rays: &[Ray], per_receiver: usize, passed: &mut [f32]) -> Result<(), QueryError> {

@@ -7,7 +7,9 @@ use crate::{
 };
 use std::sync::Arc;
 use umbrage_accel::Bvh;
-use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides, coarse, exact};
+use umbrage_aomask::{
+    BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides, coarse, exact, exact::adaptive::Spent,
+};
 
 pub(super) struct MaskPrefilter<'a> {
     bvh: &'a Bvh,
@@ -53,12 +55,16 @@ impl Engine for MaskPrefilter<'_> {
         }
     }
 
+    fn pattern(&self) -> Option<&Pattern> {
+        Some(&self.pattern)
+    }
+
     fn sky(
         &self,
         receivers: &[Receiver],
         outputs: Outputs<'_>,
         progress: Report<'_>,
-    ) -> Result<(), QueryError> {
+    ) -> Result<Option<Spent>, QueryError> {
         let (Self { bvh, pattern, options, .. }, best) = (self, BackEnd::best());
         if let Some(near) = self.near {
             let far = self.far.cones(pattern.len(), near, options.radius)?;
@@ -66,6 +72,6 @@ impl Engine for MaskPrefilter<'_> {
         } else {
             exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)?;
         }
-        Ok(())
+        Ok(None)
     }
 }

@@ -14,7 +14,7 @@ pub(super) struct MaskRaster<'a> {
 impl<'a> MaskRaster<'a> {
     pub(super) fn build(occluders: &'a Occluders, sky: &Sky) -> Result<Self, QueryError> {
         let (_, mesh) = one_mesh(AoMethod::MaskRaster.name(), occluders.flat_opaque())?;
-        let (pattern, options) = sky.masks()?;
+        let (pattern, options) = sky.masks_of_tables()?;
         let tables = occluders.mask_tables(pattern)?;
         Ok(Self { mesh, tables, options })
     }

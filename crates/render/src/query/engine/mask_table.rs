@@ -3,7 +3,7 @@
 use super::{Answers, Engine, Report, Sky, one_mesh};
 use crate::query::{AoMethod, Occluders, QueryError};
 use umbrage_accel::Bvh;
-use umbrage_aomask::{MaskOptions, MaskTables, Outputs, Receiver};
+use umbrage_aomask::{MaskOptions, MaskTables, Outputs, Pattern, Receiver, exact::adaptive::Spent};
 
 pub(super) struct MaskTable<'a> {
     bvh: &'a Bvh,
@@ -14,7 +14,7 @@ pub(super) struct MaskTable<'a> {
 impl<'a> MaskTable<'a> {
     pub(super) fn build(occluders: &'a Occluders, sky: &Sky) -> Result<Self, QueryError> {
         let bvh = one_mesh(AoMethod::MaskTable.name(), occluders.flat())?;
-        let (pattern, options) = sky.masks()?;
+        let (pattern, options) = sky.masks_of_tables()?;
         let tables = occluders.mask_tables(pattern)?;
         Ok(Self { bvh, tables, options })
     }
@@ -29,12 +29,17 @@ impl Engine for MaskTable<'_> {
         Answers::Receivers
     }
 
+    fn pattern(&self) -> Option<&Pattern> {
+        Some(self.tables.pattern())
+    }
+
     fn sky(
         &self,
         receivers: &[Receiver],
         outputs: Outputs<'_>,
         progress: Report<'_>,
-    ) -> Result<(), QueryError> {
-        Ok(self.tables.answer_receivers(self.bvh, receivers, &self.options, outputs, progress)?)
+    ) -> Result<Option<Spent>, QueryError> {
+        self.tables.answer_receivers(self.bvh, receivers, &self.options, outputs, progress)?;
+        Ok(None)
     }
 }

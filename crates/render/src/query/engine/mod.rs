@@ -14,7 +14,10 @@ mod solid;
 
 use super::{AoMethod, Occluders, QueryError, SceneKind, ShadowMethod, View};
 use umbrage_accel::Counters;
-use umbrage_aomask::{MaskOptions, Outputs, Pattern, PatternOptions, RasterView, Receiver, Sides};
+use umbrage_aomask::{
+    MaskOptions, Outputs, Pattern, PatternOptions, Points, RasterView, Receiver, Sides,
+    exact::adaptive::Spent,
+};
 use umbrage_geom::Ray;
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 
@@ -69,7 +72,12 @@ pub trait Engine: Sync {
         Err(QueryError::Unsupported { method: self.name(), reason: "it does not answer single rays" })
     }
 
-    /// Answers how open the sky is over each receiver.
+    /// The rays of receivers, where the engine chooses them.
+    fn pattern(&self) -> Option<&Pattern> {
+        None
+    }
+
+    /// Answers how open the sky is over each receiver. Returns what a target error took, if there is one.
     ///
     /// # Errors
     /// [`QueryError::Unsupported`] unless [`Self::answers`] is [`Answers::Receivers`]; [`QueryError::Mask`];
@@ -79,7 +87,7 @@ pub trait Engine: Sync {
         receivers: &[Receiver],
         outputs: Outputs<'_>,
         progress: Report<'_>,
-    ) -> Result<(), QueryError> {
+    ) -> Result<Option<Spent>, QueryError> {
         let _ = (receivers, outputs, progress);
         Err(QueryError::Unsupported { method: self.name(), reason: "it does not choose rays for receivers" })
     }
@@ -172,7 +180,19 @@ impl Sky {
 
     /// The pattern and the options of masks, checked.
     fn masks(&self) -> Result<(Pattern, MaskOptions), QueryError> {
-        let (pattern, options) = (Pattern::new(&self.pattern)?, self.options());
+        self.masks_of(&self.pattern)
+    }
+
+    /// The same for tables, which need one set of directions.
+    fn masks_of_tables(&self) -> Result<(Pattern, MaskOptions), QueryError> {
+        match self.pattern.points {
+            Points::Jittered => self.masks_of(&self.pattern.clone().with_points(Points::Middles)),
+            _ => self.masks(),
+        }
+    }
+
+    fn masks_of(&self, pattern: &PatternOptions) -> Result<(Pattern, MaskOptions), QueryError> {
+        let (pattern, options) = (Pattern::new(pattern)?, self.options());
         options.validate(&pattern)?;
         Ok((pattern, options))
     }
@@ -183,7 +203,7 @@ const FRONT_FIRST_NEEDS_OPAQUE: &str =
 
 /// Whether masks can have so many rays.
 pub fn mask_rays(rays: u32) -> bool {
-    (32..=Pattern::MAX_RAYS).contains(&rays) && rays.is_multiple_of(32)
+    (8..=Pattern::MAX_MASK_RAYS).contains(&rays) && rays.is_multiple_of(8)
 }
 
 /// The engine of a shadow method.
