@@ -84,7 +84,7 @@ impl FarOpacity {
     ) -> Result<Option<f32>, MaskError> {
         let (receivers, best) = (&self.samples[..], BackEnd::best());
         let (mut truth, mut ao) = (vec![0f32; receivers.len()], vec![0f32; receivers.len()]);
-        let many = Pattern::new(&options.clone().with_rays(Pattern::MAX_RAYS).with_jitter(1.0, 0.2))?;
+        let many = Pattern::new(&options.clone().with_rays(Pattern::MAX_MASK_RAYS))?;
         let exactly = |pattern: &Pattern, ao: &mut [f32]| {
             exact::answer_receivers(bvh, pattern, receivers, masks, best, Outputs::new(ao), &mut |_| true)
         };

@@ -246,7 +246,7 @@ impl MaskTables {
     /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`].
     pub fn ao(&self, bvh: &Bvh, receiver: &Receiver, options: &MaskOptions) -> Result<f32, MaskError> {
         options.validate_for_tables(&self.pattern)?;
-        let mut mask = [0; Pattern::MAX_RAYS as usize / 64];
+        let mut mask = [0; Pattern::MAX_MASK_RAYS as usize / 64];
         let masks = &mut mask[..self.pattern.words()];
         with_set!(&self.tables, set => {
             let scene = self.scene(set, bvh, options);
