@@ -94,6 +94,14 @@ pub enum MaskError {
         /// Index of the fan, from 0.
         fan: usize,
     },
+    /// There are not as many opacities as triangles.
+    #[error("{actual} opacities for {triangles} triangles")]
+    Opacities {
+        /// How many opacities there are.
+        actual: usize,
+        /// How many triangles there are.
+        triangles: usize,
+    },
     /// There are not as many answers as rays.
     #[error("{answers} answers for {rays} rays")]
     Answers {

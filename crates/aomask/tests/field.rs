@@ -12,7 +12,7 @@ use umbrage_aomask::{
     exact,
 };
 use umbrage_geom::{
-    Aabb, Falloff,
+    Aabb, Falloff, OpticalDepth,
     glam::Vec3,
     sampling::{RandomStream, uniform_sphere},
 };
@@ -95,6 +95,69 @@ fn independent_triangles_attenuate_as_rays_find() {
     let rays = cones.rays(near).map(|(ray, _)| f64::from(u8::from(!scene.bvh.any_hit(&ray))));
     let (seen, truth) = (all.iter().map(|&x| f64::from(x)).sum::<f64>() / 2e3, rays.sum::<f64>() / 2e3);
     assert!((seen - truth).abs() < 0.03 && (0.1..0.9).contains(&truth), "{seen} {truth}");
+}
+
+/// Triangles in a cube, independent of each other.
+fn dust(count: usize) -> Scene {
+    let mut random = RandomStream::new(6, 0);
+    let mut triangles = Vec::new();
+    for _ in 0..count {
+        let mut point = || Vec3::new(random.next_unit(), random.next_unit(), random.next_unit());
+        let (center, u, v) = (point(), point() - 0.5, point() - 0.5);
+        triangles.push([center, center + u * 0.04, center + v * 0.04].map(|p| p.to_array()));
+    }
+    soup(&triangles)
+}
+
+fn transparent(scene: &Scene, opacities: &[f32], cells: u32) -> Result<OpacityField, MaskError> {
+    let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
+    let options = FieldOptions::default().with_cells(cells);
+    OpacityField::build_transparent(positions, triangles, opacities, &options, &mut |_| true)
+}
+
+#[test]
+fn semi_transparent_triangles_attenuate_as_products_do() {
+    let scene = dust(30_000);
+    let directions = sphere(1_000, 4);
+    let (near, length) = (0.05, 0.4);
+    let cones = cones(Vec3::splat(0.5), &directions, length);
+    // One opacity for all, and several.
+    let mixed = |i: u32| [0.1, 0.5, 1.0, 0.0][i as usize % 4];
+    let opacity: [&dyn Fn(u32) -> f32; 3] = [&|_| 0.7, &|_| 0.15, &mixed];
+    for (number, of) in opacity.into_iter().enumerate() {
+        let opacities: Vec<f32> = (0..scene.mesh.triangles.len() as u32).map(of).collect();
+        let field = transparent(&scene, &opacities, 48).unwrap();
+        let seen = passed(&field, near, &cones, BackEnd::best());
+        let exact = cones.rays(near).map(|(ray, _)| {
+            scene.bvh.transmittance(&ray, |prim| OpticalDepth::from_opacity(of(prim))).transmittance()
+        });
+        let mean = |values: &mut dyn Iterator<Item = f32>| values.map(f64::from).sum::<f64>() / 1e3;
+        let (seen, truth) = (mean(&mut seen.into_iter()), mean(&mut exact.into_iter()));
+        assert!((seen - truth).abs() < 0.02 && (0.1..0.95).contains(&truth), "{number}: {seen} {truth}");
+    }
+}
+
+#[test]
+fn opacities_of_one_are_opaque_bit_for_bit() {
+    let scene = dust(5_000);
+    let n = scene.mesh.triangles.len();
+    let cones = cones(Vec3::splat(0.4), &sphere(200, 5), 2.0);
+    let expected = passed(&field(&scene, 32), 0.03, &cones, BackEnd::best());
+    for opacities in [vec![1.0; n], vec![f32::NAN; n], Vec::new()] {
+        let field = transparent(&scene, &opacities, 32).unwrap();
+        assert_eq!(passed(&field, 0.03, &cones, BackEnd::best()), expected);
+    }
+    let clear = transparent(&scene, &vec![0.0; n], 32).unwrap();
+    assert_eq!(passed(&clear, 0.03, &cones, BackEnd::best()), [1.0; 200]);
+    let refused = transparent(&scene, &[0.5], 32).unwrap_err();
+    assert_eq!(refused, MaskError::Opacities { actual: 1, triangles: n });
+    // However many threads there are.
+    let veil = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let field = pool.install(|| transparent(&scene, &vec![0.4; n], 32)).unwrap();
+        passed(&field, 0.03, &cones, BackEnd::Scalar)
+    };
+    assert_eq!(veil(1), veil(3));
 }
 
 #[test]

@@ -295,6 +295,71 @@ fn masks_with_an_exact_far_field_are_exact() {
     assert!(matches!(call(1.0, &options.with_sides(Sides::Front)), Err(MaskError::Unsupported(_))));
 }
 
+/// What passes semi-transparent triangles beyond a distance, exactly.
+struct ExactVeils<'a>(&'a Scene, f32);
+
+/// Opaque ones among them.
+fn veil(prim: u32) -> umbrage_geom::OpticalDepth {
+    umbrage_geom::OpticalDepth::from_opacity([0.2, 0.7, 1.0][prim as usize % 3])
+}
+
+impl umbrage_aomask::coarse::FarField for ExactVeils<'_> {
+    fn near(&self) -> f32 {
+        self.1
+    }
+
+    fn bundle(&self) -> usize {
+        1
+    }
+
+    fn transmittances(&self, cones: &umbrage_aomask::coarse::Cones, passed: &mut [f32]) {
+        for ((ray, _), out) in cones.rays(self.1).zip(passed) {
+            *out = self.0.bvh.transmittance(&ray, veil).transmittance();
+        }
+    }
+}
+
+#[test]
+fn transmittances_with_an_exact_far_field_are_exact() {
+    let scene = scene("bush", 4_000);
+    let (pattern, points) = (pattern(96, Falloff::Linear), receivers(&scene.mesh, 50, 3));
+    let options = MaskOptions::default().with_radius(0.3 * scene.mesh.bounds().diagonal());
+    let (asked, best) = (seeded(&points, &options), BackEnd::best());
+    let (mut expected, mut blocked) = ([0.0; 50], [0; 100]);
+    let outputs = Outputs::new(&mut expected).with_masks(&mut blocked);
+    umbrage_aomask::exact::transmit(&scene.bvh, veil, &pattern, &asked, &options, best, outputs, &mut |_| {
+        true
+    })
+    .unwrap();
+    let call = |near: f32, options: &MaskOptions| {
+        let (mut ao, mut masks) = ([0.0; 50], [0; 100]);
+        let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
+        let far = ExactVeils(&scene, near);
+        umbrage_aomask::coarse::transmit(
+            &scene.bvh,
+            veil,
+            &far,
+            &pattern,
+            &asked,
+            options,
+            best,
+            outputs,
+            &mut |_| true,
+        )
+        .map(|()| (ao, masks))
+    };
+    for near in [0.01, 0.3, 2.0] {
+        let (ao, masks) = call(near * options.radius, &options).unwrap();
+        // Products of two rounded factors.
+        let far = ao.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(far < 1e-6, "{near}: {far}");
+        assert_eq!(masks, blocked, "{near}");
+    }
+    assert!(blocked.iter().any(|&word| word != 0) && expected.iter().any(|&ao| ao > 0.0 && ao < 1.0));
+    assert!(matches!(call(f32::NAN, &options), Err(MaskError::Radius(_))));
+    assert!(matches!(call(1.0, &options.with_sides(Sides::Front)), Err(MaskError::Unsupported(_))));
+}
+
 /// The unit cube, closed.
 fn cube() -> Scene {
     let positions: Vec<[f32; 3]> =

@@ -4,7 +4,7 @@
 //!
 //! Each of 13 directions (towards the faces, edges and corners of a cube; opposite ones are the same) has a grid of its own, turned to
 //! it. A cell of every level stores the optical depth that explains which share of the lines along its direction its triangles
-//! block, given that nothing blocked them in the cell before. A cone looks up the grid whose direction is nearest to its own, in
+//! block (semi-transparent ones with the probability of their opacity), given that nothing blocked them in the cell before. A cone looks up the grid whose direction is nearest to its own, in
 //! cells that grow with its width, cell by cell.
 
 use super::{
@@ -18,7 +18,7 @@ use umbrage_geom::{
     Aabb, Progress,
     glam::{DVec3, Vec3},
     mesh::validate_slices,
-    sampling::{hash, unit},
+    sampling::{combine, hash, unit},
 };
 
 /// Directions.
@@ -28,7 +28,6 @@ const AXES: usize = 13;
 const OPAQUE: f64 = 8.0;
 
 /// Triangles that a thread takes at a time.
-#[cfg(feature = "rayon")]
 const CHUNK: usize = 4096;
 
 /// Most cells that a cone passes.
@@ -107,8 +106,8 @@ impl OpacityField {
     /// Most cells along a side.
     pub const MAX_CELLS: u32 = 192;
 
-    /// Makes the field; linear in triangles and in what they cover. `progress` gets growing fractions that end at exactly 1,
-    /// from any thread, and returns `false` to cancel.
+    /// Makes the field of opaque triangles; linear in triangles and in what they cover. `progress` gets growing fractions that end
+    /// at exactly 1, from any thread, and returns `false` to cancel.
     ///
     /// # Errors
     /// [`MaskError::Resolution`], [`MaskError::Elongation`]; [`MaskError::Build`] for positions and indices that make no mesh and for a box that is empty
@@ -119,6 +118,27 @@ impl OpacityField {
         options: &FieldOptions,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<Self, MaskError> {
+        Self::build_transparent(positions, triangles, &[], options, progress)
+    }
+
+    /// [`Self::build`] among semi-transparent triangles: `opacities` has the fraction of light that a crossing of each triangle
+    /// blocks (NaN counts as opaque), or nothing if all are opaque.
+    ///
+    /// A triangle of opacity `a` blocks each line that meets it with probability `a`, independently of all other triangles, so
+    /// that the mean over lines of what passes several triangles is the product of what each lets pass.
+    ///
+    /// # Errors
+    /// As for [`Self::build`]; [`MaskError::Opacities`].
+    pub fn build_transparent(
+        positions: &[[f32; 3]],
+        triangles: &[[u32; 3]],
+        opacities: &[f32],
+        options: &FieldOptions,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<Self, MaskError> {
+        if !opacities.is_empty() && opacities.len() != triangles.len() {
+            return Err(MaskError::Opacities { actual: opacities.len(), triangles: triangles.len() });
+        }
         if !(8..=Self::MAX_CELLS).contains(&options.cells) {
             let (value, limit) = (options.cells, Self::MAX_CELLS);
             return Err(MaskError::Resolution { what: "far opacity", value, limit });
@@ -152,7 +172,7 @@ impl OpacityField {
         }
         field.roots = vec![0; cells];
         let progress = Progress::new(AXES as u64, progress);
-        field.fill(positions, triangles, &progress)?;
+        field.fill(positions, triangles, opacities, &progress)?;
         progress.finish()?;
         Ok(field)
     }
@@ -161,24 +181,29 @@ impl OpacityField {
         &mut self,
         positions: &[[f32; 3]],
         triangles: &[[u32; 3]],
+        opacities: &[f32],
         progress: &Progress<'_>,
     ) -> Result<(), MaskError> {
         let depths = Depths::new();
         let most = self.grids.iter().map(|grid| grid.cells.len()).max().unwrap_or(0);
         let marks: Vec<AtomicU64> = (0..most).map(|_| AtomicU64::new(0)).collect();
-        for grid in &self.grids {
-            let work = |triangles: &[[u32; 3]]| {
+        let chunks = triangles.len().div_ceil(CHUNK);
+        for (axis, grid) in self.grids.iter().enumerate() {
+            let work = |chunk: usize| {
                 progress.check()?;
-                BackEnd::best().run(Marking { grid, positions, triangles, marks: &marks });
+                let range = chunk * CHUNK..triangles.len().min((chunk + 1) * CHUNK);
+                let seed = combine(axis as u32, chunk as u32);
+                let (triangles, opacities) = (&triangles[range.clone()], opacities.get(range).unwrap_or(&[]));
+                BackEnd::best().run(Marking { grid, positions, triangles, opacities, seed, marks: &marks });
                 Ok::<(), MaskError>(())
             };
             #[cfg(feature = "rayon")]
             {
                 use rayon::prelude::*;
-                triangles.par_chunks(CHUNK).try_for_each(work)?;
+                (0..chunks).into_par_iter().try_for_each(work)?;
             }
             #[cfg(not(feature = "rayon"))]
-            work(triangles)?;
+            (0..chunks).try_for_each(work)?;
             for level in &grid.levels {
                 let [x, y, z] = level.size;
                 let mark = |at: [u32; 3]| {
@@ -217,6 +242,10 @@ struct Marking<'a> {
     grid: &'a Grid,
     positions: &'a [[f32; 3]],
     triangles: &'a [[u32; 3]],
+    /// Of the triangles; empty if all are opaque.
+    opacities: &'a [f32],
+    /// Of the lines that semi-transparent triangles block.
+    seed: u32,
     marks: &'a [AtomicU64],
 }
 
@@ -225,9 +254,16 @@ impl Job for Marking<'_> {
 
     #[inline(always)]
     fn run(self) {
-        for triangle in self.triangles {
+        for (i, triangle) in self.triangles.iter().enumerate() {
             let corners = triangle.map(|v| Vec3::from(self.positions[v as usize]).as_dvec3());
-            self.grid.mark(corners, self.marks);
+            match self.opacities.get(i) {
+                Some(&opacity) if opacity < 1.0 => {
+                    let seed = combine(self.seed, i as u32);
+                    let blocks = |a, b| unit(combine(hash(seed ^ a), b)) < opacity;
+                    self.grid.mark(corners, self.marks, blocks);
+                }
+                _ => self.grid.mark(corners, self.marks, |_, _| true),
+            }
         }
     }
 }

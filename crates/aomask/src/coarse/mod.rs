@@ -9,11 +9,11 @@ mod voxelize;
 use crate::{
     BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
     drive::{self, Engine},
-    exact::{Masks, Walks},
+    exact::{Masks, Veils, Walks},
     gather::Answers,
 };
 use umbrage_accel::Bvh;
-use umbrage_geom::{Ray, glam::Vec3};
+use umbrage_geom::{OpticalDepth, Ray, glam::Vec3};
 
 /// Bundles of rays of one receiver.
 #[derive(Clone, Debug, Default)]
@@ -53,7 +53,7 @@ pub trait FarField: Sync {
     fn transmittances(&self, cones: &Cones, passed: &mut [f32]);
 }
 
-/// Ambient occlusion of `receivers`: rays that nothing blocks up to [`FarField::near`] (exactly, among the triangles of `bvh`) are
+/// Ambient occlusion of `receivers` among opaque triangles: rays that nothing blocks up to [`FarField::near`] (exactly, among the triangles of `bvh`) are
 /// answered by `far` from there on. `ao`, bent normals and sectors are means over the rays of what passes; masks have the
 /// rays that nothing passes.
 ///
@@ -71,6 +71,44 @@ pub fn answer_receivers(
     outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<(), MaskError> {
+    let near = near_masks(bvh, far, pattern, options, back_end, &outputs)?;
+    let bundles = Bundles::new(pattern, far.bundle());
+    let engine = Coarse { near, dims: false, pattern, radius: options.radius, far, bundles };
+    drive::run(&engine, pattern, options, receivers, outputs, progress)
+}
+
+/// [`answer_receivers`] among semi-transparent triangles: up to [`FarField::near`] a ray passes what [`crate::exact::transmit`]
+/// says of `depth_of(index of the triangle)`, and of that what `far` lets pass from there on.
+///
+/// # Errors
+/// As for [`answer_receivers`].
+#[allow(clippy::too_many_arguments)] // what there is to say
+pub fn transmit(
+    bvh: &Bvh,
+    depth_of: impl Fn(u32) -> OpticalDepth + Sync,
+    far: &impl FarField,
+    pattern: &Pattern,
+    receivers: &[Receiver],
+    options: &MaskOptions,
+    back_end: BackEnd,
+    outputs: Outputs<'_>,
+    progress: &mut (dyn FnMut(f32) -> bool + Send),
+) -> Result<(), MaskError> {
+    let near = Veils::new(near_masks(bvh, far, pattern, options, back_end, &outputs)?, depth_of);
+    let bundles = Bundles::new(pattern, far.bundle());
+    let engine = Coarse { near, dims: true, pattern, radius: options.radius, far, bundles };
+    drive::run(&engine, pattern, options, receivers, outputs, progress)
+}
+
+/// Masks up to where the far field begins, for calls that it can answer.
+fn near_masks<'a>(
+    bvh: &'a Bvh,
+    far: &impl FarField,
+    pattern: &'a Pattern,
+    options: &'a MaskOptions,
+    back_end: BackEnd,
+    outputs: &Outputs<'_>,
+) -> Result<Masks<'a>, MaskError> {
     let near = far.near();
     if near.is_nan() || near <= 0.0 {
         return Err(MaskError::Radius(near));
@@ -79,9 +117,7 @@ pub fn answer_receivers(
         return Err(MaskError::Unsupported("sides of far triangles"));
     }
     outputs.validate_for_tables()?;
-    let masks = Masks::new(bvh, pattern, options, near, back_end, &outputs)?;
-    let bundles = Bundles::new(pattern, far.bundle());
-    drive::run(&Coarse { masks, far, bundles }, pattern, options, receivers, outputs, progress)
+    Masks::new(bvh, pattern, options, near, back_end, outputs)
 }
 
 /// Rays of a pattern and the runs of neighbours that share a cone.
@@ -97,8 +133,8 @@ struct Bundles {
 impl Bundles {
     fn new(pattern: &Pattern, most: usize) -> Self {
         let most = if pattern.has_equal_lengths() { most.clamp(1, 32) } else { 1 };
-        // A power of two, of which a word of a mask holds a whole number; so does a pattern.
-        let rays = 1 << most.ilog2();
+        // A power of two, of which a word of a mask and the pattern hold whole numbers.
+        let rays = 1 << most.ilog2().min(pattern.len().trailing_zeros());
         let angle = |run: &[Vec3]| run.iter().map(|&d| pattern.solid_angle(d)).sum();
         let of_member = |member| pattern.directions(member).chunks(rays).map(angle);
         Self {
@@ -109,8 +145,14 @@ impl Bundles {
     }
 }
 
-struct Coarse<'a, F> {
-    masks: Masks<'a>,
+struct Coarse<'a, N, F> {
+    /// Exact answers up to the far field.
+    near: N,
+    /// Whether `near` writes what passes along each ray, beside masks.
+    dims: bool,
+    pattern: &'a Pattern,
+    /// World units.
+    radius: f32,
     far: &'a F,
     bundles: Bundles,
 }
@@ -127,12 +169,12 @@ struct Scratch {
     passed: Vec<f32>,
 }
 
-impl<F: FarField> Engine for Coarse<'_, F> {
+impl<N: Engine<Scratch = Walks>, F: FarField> Engine for Coarse<'_, N, F> {
     type Scratch = Scratch;
 
     fn scratch(&self) -> Scratch {
         Scratch {
-            walks: self.masks.scratch(),
+            walks: self.near.scratch(),
             cones: Cones::default(),
             which: Vec::new(),
             chosen: Vec::new(),
@@ -141,24 +183,29 @@ impl<F: FarField> Engine for Coarse<'_, F> {
     }
 
     fn answer(&self, receivers: &[Receiver], answers: &mut Answers, scratch: &mut Scratch) {
-        self.masks.answer(receivers, answers, &mut scratch.walks);
-        let (rays, words) = (self.masks.pattern.len(), self.masks.pattern.words());
-        answers.passed.clear();
-        answers.passed.resize(receivers.len() * rays, 0.0);
+        self.near.answer(receivers, answers, &mut scratch.walks);
+        let (rays, words) = (self.pattern.len(), self.pattern.words());
+        if !self.dims {
+            answers.passed.clear();
+            for mask in answers.masks.chunks(words) {
+                let open = |i: usize| mask[i / 64] >> (i % 64) & 1 == 0;
+                answers.passed.extend((0..rays).map(|i| f32::from(u8::from(open(i)))));
+            }
+        }
         let passed = answers.passed.chunks_mut(rays);
         for ((receiver, mask), passed) in receivers.iter().zip(answers.masks.chunks_mut(words)).zip(passed) {
-            self.open(receiver, mask, passed, scratch);
+            self.open(receiver, mask, scratch);
             self.far.transmittances(&scratch.cones, &mut scratch.passed);
             self.bundles.spread(mask, passed, scratch);
         }
     }
 }
 
-impl<F: FarField> Coarse<'_, F> {
+impl<N, F: FarField> Coarse<'_, N, F> {
     /// Collects the cones of bundles that have a ray which `mask` leaves open: each along one of these. Rays that end before
-    /// the far field are answered.
-    fn open(&self, receiver: &Receiver, mask: &[u64], out: &mut [f32], scratch: &mut Scratch) {
-        let Self { masks: Masks { pattern, options, .. }, bundles, far } = self;
+    /// the far field have their answers.
+    fn open(&self, receiver: &Receiver, mask: &[u64], scratch: &mut Scratch) {
+        let Self { pattern, bundles, far, .. } = self;
         let member = pattern.member_of(receiver);
         let (directions, lengths) = (pattern.directions(member), pattern.lengths(member));
         let Scratch { cones, which, chosen, passed, .. } = scratch;
@@ -169,9 +216,7 @@ impl<F: FarField> Coarse<'_, F> {
         for bundle in 0..bundles.count {
             let first = bundle * n;
             let open = !mask[first / 64] >> (first % 64) & all;
-            if open != 0 && options.radius * lengths[first] <= near {
-                (0..n).filter(|i| open >> i & 1 == 1).for_each(|i| out[first + i] = 1.0);
-            } else if open != 0 {
+            if open != 0 && self.radius * lengths[first] > near {
                 // The first one from a place that changes.
                 let turn = (receiver.seed() as usize + bundle) % n;
                 let turned = open >> turn | open << (n - turn);
@@ -196,7 +241,7 @@ impl<F: FarField> Coarse<'_, F> {
         }
         cones.origin = receiver.point();
         cones.lengths.clear();
-        cones.lengths.extend(chosen.iter().map(|&i| options.radius * lengths[i]));
+        cones.lengths.extend(chosen.iter().map(|&i| self.radius * lengths[i]));
         cones.solid_angles.clear();
         cones.solid_angles.extend(which.iter().map(|&i| bundles.solid_angles[member * bundles.count + i]));
         passed.clear();
@@ -205,15 +250,12 @@ impl<F: FarField> Coarse<'_, F> {
 }
 
 impl Bundles {
-    /// Gives the open rays of `mask` what passes along their cones, and closes those that nothing passes.
+    /// Dims the rays of `mask` that are open by what passes along their cones, and closes those that nothing passes.
     fn spread(&self, mask: &mut [u64], out: &mut [f32], scratch: &Scratch) {
         for (&bundle, &passed) in scratch.which.iter().zip(&scratch.passed) {
             let first = bundle * self.rays;
             let word = &mut mask[first / 64];
-            for (i, out) in out[first..first + self.rays].iter_mut().enumerate() {
-                let blocked = *word >> (first % 64 + i) & 1 == 1;
-                *out = if blocked { 0.0 } else { passed };
-            }
+            out[first..first + self.rays].iter_mut().for_each(|out| *out *= passed);
             if passed == 0.0 {
                 *word |= (u64::MAX >> (64 - self.rays)) << (first % 64);
             }

@@ -108,9 +108,10 @@ impl Grid {
         grid
     }
 
-    /// Marks the cells in which lines meet a triangle: by cell of the grid a bit for each of its lines.
+    /// Marks the cells in which lines meet a triangle: by cell of the grid a bit for each of its lines. Only lines count of which
+    /// `blocks`, which gets their numbers along both axes, says so.
     #[inline(always)]
-    pub(super) fn mark(&self, corners: [DVec3; 3], marks: &[AtomicU64]) {
+    pub(super) fn mark(&self, corners: [DVec3; 3], marks: &[AtomicU64], blocks: impl Fn(u32, u32) -> bool) {
         let lines = f64::from(LINES);
         let place = |p: DVec3, axis: usize| p.dot(self.axes[axis]) - self.low[axis];
         // Lines are in the middle between whole numbers, so that none lies on a face of a cell.
@@ -145,7 +146,7 @@ impl Grid {
             // Half-open, so that of two triangles with a common edge one is hit.
             let (from, end) = (crossed[0].ceil().max(0.0), crossed[1].ceil().min(most(0) + 1.0));
             if from < end {
-                for a in from as u32..end as u32 {
+                for a in (from as u32..end as u32).filter(|&a| blocks(a, b)) {
                     let depth = depths[0] + da * (f64::from(a) - a0) + db * (row - b0);
                     self.mark_at(a, b, depth.max(w_low).min(w_high), marks);
                 }

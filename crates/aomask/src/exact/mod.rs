@@ -89,7 +89,7 @@ pub fn transmit(
         return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
     }
     let masks = Masks::new(bvh, pattern, options, f32::INFINITY, back_end, &outputs)?;
-    drive::run(&Veils { masks, depth_of }, pattern, options, receivers, outputs, progress)
+    drive::run(&Veils::new(masks, depth_of), pattern, options, receivers, outputs, progress)
 }
 
 /// What a thread keeps.
@@ -168,9 +168,16 @@ impl Engine for Masks<'_> {
 }
 
 /// [`Masks`] among semi-transparent triangles.
-struct Veils<'a, F> {
+pub(crate) struct Veils<'a, F> {
     masks: Masks<'a>,
     depth_of: F,
+}
+
+impl<'a, F: Fn(u32) -> OpticalDepth + Sync> Veils<'a, F> {
+    /// Not for [`Sides::FrontFirst`]. `depth_of` tells what a crossing of the triangle with an index adds.
+    pub(crate) fn new(masks: Masks<'a>, depth_of: F) -> Self {
+        Self { masks, depth_of }
+    }
 }
 
 impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for Veils<'_, F> {
