@@ -1,5 +1,5 @@
-//! Binding to Embree 3 (`libembree3`): devices, committed scenes of one mesh or subdivision surface, occlusion calls and the
-//! closest hit of single rays. All unsafe code of this crate is here; what is public is safe to call.
+//! Binding to Embree 3 (`libembree3`): devices, committed scenes of one mesh or subdivision surface, calls for occlusion and for
+//! closest hits. All unsafe code of this crate is here; what is public is safe to call.
 //!
 //! The control register of floating point stays as it is: denormals are not flushed, here or in our own code.
 
@@ -15,7 +15,7 @@ use std::{
         atomic::{AtomicIsize, Ordering},
     },
 };
-use umbrage_geom::{OpticalDepth, PolygonMesh};
+use umbrage_geom::{BoundaryRule, OpticalDepth, PolygonMesh};
 
 type Handle = *mut c_void;
 
@@ -102,11 +102,45 @@ pub struct Packet<const N: usize> {
     pub flags: [u32; N],
 }
 
+/// `RTCHit4`, `RTCHit8`, `RTCHit16`: the components of [`Hit`], each for all lanes.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+pub struct PacketHits<const N: usize> {
+    pub normal: [[f32; N]; 3],
+    pub u: [f32; N],
+    pub v: [f32; N],
+    pub primitive: [u32; N],
+    pub geometry: [u32; N],
+    pub instance: [u32; N],
+}
+
+impl<const N: usize> PacketHits<N> {
+    /// No hits yet.
+    pub const NONE: Self = Self {
+        normal: [[0.0; N]; 3],
+        u: [0.0; N],
+        v: [0.0; N],
+        primitive: [u32::MAX; N],
+        geometry: [u32::MAX; N],
+        instance: [u32::MAX; N],
+    };
+}
+
+/// `RTCRayHit4`, `RTCRayHit8`, `RTCRayHit16`.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct PacketHit<const N: usize> {
+    pub rays: Packet<N>,
+    pub hits: PacketHits<N>,
+}
+
 /// Index of a ray's `id` among its twelve components, in single rays and packets alike.
 const ID: usize = offset_of!(Single, id) / 4;
 const _: () = assert!(size_of::<Single>() == 48 && offset_of!(Packet<8>, id) == ID * 8 * 4);
 const _: () = assert!(size_of::<Packet<8>>() == 48 * 8 && size_of::<Packet<16>>() == 48 * 16);
 const _: () = assert!(size_of::<SingleHit>() == 80 && offset_of!(SingleHit, hit) == 48);
+const _: () = assert!(size_of::<PacketHit<4>>() == 80 * 4 && offset_of!(PacketHit<4>, hits) == 48 * 4);
+const _: () = assert!(size_of::<PacketHit<8>>() == 80 * 8 && size_of::<PacketHit<16>>() == 80 * 16);
 
 /// The mask of a packet without inactive lanes.
 #[repr(align(64))]
@@ -158,6 +192,16 @@ unsafe extern "C" {
     fn rtcSetSceneFlags(scene: Handle, flags: c_uint);
     fn rtcAttachGeometry(scene: Handle, geometry: Handle) -> c_uint;
     fn rtcIntersect1(scene: Handle, context: *mut Context, ray: *mut SingleHit);
+    fn rtcIntersect4(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut PacketHit<4>);
+    fn rtcIntersect8(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut PacketHit<8>);
+    fn rtcIntersect16(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut PacketHit<16>);
+    fn rtcIntersect1M(
+        scene: Handle,
+        context: *mut Context,
+        rays: *mut SingleHit,
+        count: c_uint,
+        stride: usize,
+    );
     fn rtcOccluded1(scene: Handle, context: *mut Context, ray: *mut Single);
     fn rtcOccluded4(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut Packet<4>);
     fn rtcOccluded8(valid: *const c_int, scene: Handle, context: *mut Context, rays: *mut Packet<8>);
@@ -257,7 +301,7 @@ pub struct ControlBuffers {
 }
 
 impl ControlBuffers {
-    /// Copies a mesh without creases.
+    /// Copies a mesh without creases, whose boundary follows its curve.
     ///
     /// # Errors
     /// For creases, indices out of range, or counts that don't fit each other.
@@ -266,8 +310,9 @@ impl ControlBuffers {
         let valid = corners == mesh.corners.len() as u64
             && levels.len() == mesh.corners.len()
             && mesh.corners.iter().all(|&v| (v as usize) < mesh.positions.len());
-        if !valid || !mesh.creases.is_empty() || !mesh.sharp_vertices.is_empty() {
-            bail!("not a control mesh without creases");
+        let plain = mesh.creases.is_empty() && mesh.sharp_vertices.is_empty();
+        if !valid || !plain || mesh.boundary != BoundaryRule::EdgeOnly {
+            bail!("not a control mesh without creases whose boundary follows its curve");
         }
         Ok(Arc::new(Self {
             positions: mesh.positions.iter().copied().chain([[0.0; 3]]).collect(),
@@ -391,10 +436,45 @@ impl Scene {
         Ok(scene)
     }
 
-    /// `rtcIntersect1`.
-    pub fn intersect1(&self, query: &mut Query, ray: &mut SingleHit) {
-        // SAFETY: scene and context live; the ray is aligned by its type.
-        unsafe { rtcIntersect1(self.handle, &mut query.context, ray) }
+    /// `rtcIntersect1` of each ray.
+    pub fn intersect1(&self, query: &mut Query, rays: &mut [SingleHit]) {
+        for ray in rays {
+            // SAFETY: scene and context live; the ray is aligned by its type.
+            unsafe { rtcIntersect1(self.handle, &mut query.context, ray) }
+        }
+    }
+
+    /// `rtcIntersect4` of each packet.
+    pub fn intersect4(&self, query: &mut Query, packets: &mut [PacketHit<4>]) {
+        for packet in packets {
+            // SAFETY: as above; the mask has four lanes and more.
+            unsafe { rtcIntersect4(ALL_LANES.0.as_ptr(), self.handle, &mut query.context, packet) }
+        }
+    }
+
+    /// `rtcIntersect8` of each packet.
+    pub fn intersect8(&self, query: &mut Query, packets: &mut [PacketHit<8>]) {
+        for packet in packets {
+            // SAFETY: as above; the mask has eight lanes and more.
+            unsafe { rtcIntersect8(ALL_LANES.0.as_ptr(), self.handle, &mut query.context, packet) }
+        }
+    }
+
+    /// `rtcIntersect16` of each packet.
+    pub fn intersect16(&self, query: &mut Query, packets: &mut [PacketHit<16>]) {
+        for packet in packets {
+            // SAFETY: as above; the mask has sixteen lanes.
+            unsafe { rtcIntersect16(ALL_LANES.0.as_ptr(), self.handle, &mut query.context, packet) }
+        }
+    }
+
+    /// `rtcIntersect1M` of all rays.
+    pub fn intersect_stream(&self, query: &mut Query, rays: &mut [SingleHit]) {
+        let count = u32::try_from(rays.len()).expect("workloads have fewer than 2^32 rays");
+        // SAFETY: as above; `rays` holds `count` of them, densely.
+        unsafe {
+            rtcIntersect1M(self.handle, &mut query.context, rays.as_mut_ptr(), count, size_of::<SingleHit>())
+        }
     }
 
     /// Bytes that Embree took for the scene and still held after the commit, shared buffers not counted.
@@ -463,8 +543,8 @@ pub struct Query<'a> {
 }
 
 impl<'a> Query<'a> {
-    /// Stops at the first occluder.
-    pub fn any_hit(coherent: bool) -> Self {
+    /// For occlusion, which stops at the first occluder, and for closest hits.
+    pub fn plain(coherent: bool) -> Self {
         let flags = if coherent { CONTEXT_COHERENT } else { 0 };
         Self {
             context: Context { flags, filter: None, instance: u32::MAX },
@@ -478,7 +558,7 @@ impl<'a> Query<'a> {
     /// Adds `opacity` to the depth that a ray's `id` points to, for every report of a triangle, until it is opaque. Scenes
     /// need [`Feature::Filter`].
     pub fn transmittance(coherent: bool, depths: &'a mut [OpticalDepth], opacity: OpticalDepth) -> Self {
-        let mut query = Self::any_hit(coherent);
+        let mut query = Self::plain(coherent);
         query.context.filter = Some(add_depth);
         Self { depths: depths.as_mut_ptr(), count: depths.len(), opacity, ..query }
     }

@@ -178,16 +178,16 @@ impl Entry<bool> for Occluded<'_> {
         let (scene, coherent) = (&self.built.scene, self.coherent);
         match self.call {
             Call::Single => in_chunks(pool, &mut scratch.singles, 1, |rays| {
-                scene.occluded1(&mut Query::any_hit(coherent), rays);
+                scene.occluded1(&mut Query::plain(coherent), rays);
             }),
             Call::Stream => in_chunks(pool, &mut scratch.singles, 1, |rays| {
-                scene.occluded_stream(&mut Query::any_hit(coherent), rays);
+                scene.occluded_stream(&mut Query::plain(coherent), rays);
             }),
             Call::Packet8 => in_chunks(pool, &mut scratch.packets8, 8, |packets| {
-                scene.occluded8(&mut Query::any_hit(coherent), packets);
+                scene.occluded8(&mut Query::plain(coherent), packets);
             }),
             Call::Packet16 => in_chunks(pool, &mut scratch.packets16, 16, |packets| {
-                scene.occluded16(&mut Query::any_hit(coherent), packets);
+                scene.occluded16(&mut Query::plain(coherent), packets);
             }),
         }
     }

@@ -2,15 +2,15 @@
 
 use super::{
     Options,
-    frame::{Caster, Frame, Method, Reference, Setting, Shadows, cast, render},
+    frame::{Cast, Caster, Frame, Method, Reference, Setting, Shadows, cast, render},
     scenes::Scene,
 };
 use crate::{
-    embree::surface::{EmbreeSurface, Shadows as Packets},
+    embree::surface::{Call, EmbreeSurface},
     rows::{Output, Row, median, paired_speedup},
 };
-use anyhow::{Context, Result};
-use serde_json::json;
+use anyhow::{Context, Result, ensure};
+use serde_json::{Value, json};
 use std::time::Instant;
 use umbrage_geom::{Ray, glam::Vec3};
 
@@ -29,12 +29,46 @@ enum Rule {
     Pixels(f32),
 }
 
+/// A sequence of rules from coarse to fine.
+#[derive(Clone, Copy, Debug)]
+enum Family {
+    Uniform,
+    Pixels,
+}
+
+impl Family {
+    /// Index of the finest rule.
+    fn last(self) -> u32 {
+        match self {
+            Self::Uniform => 1023,
+            Self::Pixels => 140,
+        }
+    }
+
+    /// Every integer level, or lengths from 32 pixels down, each a twentieth shorter than the one before.
+    fn rule(self, index: u32) -> Rule {
+        match self {
+            Self::Uniform => Rule::Uniform((index + 1) as f32),
+            Self::Pixels => Rule::Pixels(32.0 * 0.95f32.powi(index as i32)),
+        }
+    }
+
+    /// An index whose edges are about half as long.
+    fn finer(self, index: u32) -> u32 {
+        match self {
+            Self::Uniform => 2 * index + 1,
+            Self::Pixels => index + 14,
+        }
+        .min(self.last())
+    }
+}
+
 impl Rule {
-    /// From coarse to fine.
-    fn all() -> [Vec<Self>; 2] {
-        let uniform = [1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48, 64, 96, 128, 256, 512];
-        let pixels = [32.0, 16.0, 12.0, 8.0, 6.0, 4.0, 3.0, 2.0, 1.5, 1.0, 0.75, 0.5];
-        [uniform.map(|n| Self::Uniform(n as f32)).to_vec(), pixels.map(Self::Pixels).to_vec()]
+    fn name(self) -> String {
+        match self {
+            Self::Uniform(level) => format!("level {level}"),
+            Self::Pixels(pixels) => format!("{pixels:.2} pixels"),
+        }
     }
 
     /// Levels of all edges.
@@ -60,47 +94,113 @@ impl Rule {
     }
 }
 
-impl Caster for (EmbreeSurface, Packets) {
-    fn closest_hit(&self, ray: &Ray) -> Option<(f32, Vec3)> {
-        self.0.closest_hit(ray)
+/// A surface, the call for camera rays and that for shadow rays.
+type Calls = [Call; 2];
+
+impl Caster for (EmbreeSurface, Calls) {
+    fn closest_hits(&mut self, rays: &[Ray], hits: &mut Vec<Option<(f32, Vec3)>>) -> f64 {
+        self.0.closest_hits(rays, self.1[0], hits)
     }
 
-    fn count_blocked(&mut self, rays: &[Ray]) -> usize {
-        self.0.count_blocked(rays, self.1)
+    fn any_hits(&mut self, rays: &[Ray], _: usize, blocked: &mut Vec<bool>) -> f64 {
+        self.0.any_hits(rays, self.1[1], blocked)
     }
 }
 
 /// A frame by Embree.
-fn frame(scene: &Scene, setting: &Setting, rule: Rule, packets: Packets) -> Result<Frame> {
+fn frame(scene: &Scene, setting: &Setting, rule: Rule, calls: Calls) -> Result<Frame> {
     let levels = rule.levels(scene, setting);
     let start = Instant::now();
-    let mut caster = (EmbreeSurface::new(&scene.control, &levels)?, packets);
+    let mut caster = (EmbreeSurface::new(&scene.control, &levels)?, calls);
     let build_s = start.elapsed().as_secs_f64();
-    let (image, rays, hits) = cast(setting, &mut caster);
-    let seconds = start.elapsed().as_secs_f64() - build_s;
+    let Cast { image, rays, hits, traced_s, seconds } = cast(setting, &mut caster);
     let bytes = caster.0.peak_bytes();
-    Ok(Frame { image, seconds, build_s, rays, hits, bytes, ..Frame::default() })
+    Ok(Frame { image, seconds, traced_s, build_s, rays, hits, bytes, ..Frame::default() })
 }
 
-/// The coarsest setting of each rule whose image is as near to `truth` as `rmse`, or the finest: errors fall with rates.
-fn equal_rmse(scene: &Scene, setting: &Setting, truth: &[f32], rmse: f64) -> Result<Vec<Rule>> {
-    let mut found = Vec::new();
-    for rules in Rule::all() {
-        let (mut low, mut high) = (0, rules.len() - 1);
-        while low < high {
-            let middle = (low + high) / 2;
-            if frame(scene, setting, rules[middle], Packets::Single)?.rmse(truth) <= rmse {
-                high = middle;
-            } else {
-                low = middle + 1;
-            }
+/// Neighbouring rules of a family whose errors lie around `rmse`: the first above it, the second not.
+fn around(
+    scene: &Scene,
+    setting: &Setting,
+    truth: &[f32],
+    rmse: f64,
+    family: Family,
+) -> Result<[(Rule, f64); 2]> {
+    let error = |index| -> Result<f64> {
+        Ok(frame(scene, setting, family.rule(index), [Call::SINGLE; 2])?.rmse(truth))
+    };
+    let (mut low, mut high) = ((0, error(0)?), (0, f64::INFINITY));
+    ensure!(low.1 > rmse, "{family:?}: the coarsest tessellation is near enough");
+    while high.1 > rmse {
+        ensure!(low.0 < family.last(), "{family:?}: the finest tessellation is not near enough");
+        let index = family.finer(low.0);
+        high = (index, error(index)?);
+        if high.1 > rmse {
+            low = high;
         }
-        found.push(rules[low]);
     }
-    Ok(found)
+    while high.0 - low.0 > 1 {
+        let middle = (low.0 + high.0) / 2;
+        let found = (middle, error(middle)?);
+        if found.1 > rmse {
+            low = found;
+        } else {
+            high = found;
+        }
+    }
+    Ok([low, high].map(|(index, error)| (family.rule(index), error)))
 }
 
-/// Rows of ours with baseline `embree`, whole frames with all that they build, and of Embree itself.
+/// The calls that cast the rays of a frame fastest.
+fn fastest(scene: &Scene, setting: &Setting, rule: Rule) -> Result<Calls> {
+    let frames = Call::all().into_iter().map(|call| Ok((call, frame(scene, setting, rule, [call; 2])?)));
+    let frames = frames.collect::<Result<Vec<_>>>()?;
+    let best = |kind: usize| {
+        let times = frames.iter().map(|(call, frame)| (*call, frame.traced_s[kind]));
+        times.min_by(|a, b| a.1.total_cmp(&b.1)).context("there are calls").map(|(call, _)| call)
+    };
+    Ok([best(0)?, best(1)?])
+}
+
+/// A family's rules around our error, and what they take.
+struct Peer {
+    rules: [(Rule, f64); 2],
+    calls: Calls,
+    frames: [Vec<Frame>; 2],
+}
+
+/// Building and casting; rays are made and converted outside.
+fn times(frames: &[Frame]) -> Vec<f64> {
+    frames.iter().map(|f| f.build_s + f.traced_s[0] + f.traced_s[1]).collect()
+}
+
+impl Peer {
+    /// How far `rmse` is from the first rule's error to the second's, in logarithms.
+    fn weight(&self, rmse: f64) -> f64 {
+        let [coarse, fine] = self.rules.map(|(_, error)| error.ln());
+        ((rmse.ln() - coarse) / (fine - coarse)).clamp(0.0, 1.0)
+    }
+
+    /// A positive quantity of the two rules at `rmse`: the straight line between them in logarithms.
+    fn between(&self, rmse: f64, values: [f64; 2]) -> f64 {
+        let weight = self.weight(rmse);
+        (values[0].ln() * (1.0 - weight) + values[1].ln() * weight).exp()
+    }
+
+    /// Time of each pass at `rmse`.
+    fn times(&self, rmse: f64) -> Vec<f64> {
+        let [coarse, fine] = [0, 1].map(|i| times(&self.frames[i]));
+        coarse.into_iter().zip(fine).map(|(coarse, fine)| self.between(rmse, [coarse, fine])).collect()
+    }
+
+    fn bytes(&self, rmse: f64) -> f64 {
+        let bytes = [0, 1].map(|i| self.frames[i].iter().map(|f| f.bytes).max().unwrap_or(0) as f64);
+        self.between(rmse, bytes)
+    }
+}
+
+/// Rows of ours with baseline `embree`, whole frames with all that they build, and of Embree's two tessellations whose errors lie
+/// around ours.
 pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
     let lights = scene.lights();
     let view = scene.view(false, options.size);
@@ -110,46 +210,49 @@ pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut
     for pixels in PIXELS {
         let method = Method::once("once", pixels);
         let rmse = render(scene, &setting, &method)?.rmse(&truth);
-        // The fastest way to trace each tessellation, by a small image.
+        // The fastest calls, by a small image.
         let small = Setting { view: scene.view(false, options.size / 4), ..setting };
         let mut peers = Vec::new();
-        for rule in equal_rmse(scene, &setting, &truth, rmse)? {
-            let times =
-                Packets::ALL.map(|packets| frame(scene, &small, rule, packets).map(|f| (f.seconds, packets)));
-            let times = times.into_iter().collect::<Result<Vec<_>>>()?;
-            let fastest = times.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-            peers.push((rule, fastest.context("there are ways to trace")?.1));
+        for family in [Family::Uniform, Family::Pixels] {
+            let rules = around(scene, &setting, &truth, rmse, family)?;
+            let calls = fastest(scene, &small, rules[1].0)?;
+            peers.push(Peer { rules, calls, frames: Default::default() });
         }
         let mut own = Vec::new();
-        let mut theirs: Vec<Vec<Frame>> = peers.iter().map(|_| Vec::new()).collect();
         for _ in 0..PASSES {
             own.push(render(scene, &setting, &method)?);
-            for ((rule, packets), frames) in peers.iter().zip(&mut theirs) {
-                frames.push(frame(scene, &setting, *rule, *packets)?);
+            for peer in &mut peers {
+                for i in [0, 1] {
+                    peer.frames[i].push(frame(scene, &setting, peer.rules[i].0, peer.calls)?);
+                }
             }
         }
-        for ((rule, packets), frames) in peers.iter().zip(&theirs) {
-            let params = json!({
-                "figure": NAME, "pixels": pixels, "size": options.size, "lights": lights.len(), "samples": 4,
-                "peer_level": format!("{rule:?}"), "peer_mode": format!("{packets:?}"),
-            });
-            output.row(&row(scene, method.name, params.clone(), &own, frames, &truth))?;
-            output.row(&row(scene, "embree", params, frames, frames, &truth))?;
+        for peer in &peers {
+            let params = |rules: Value| {
+                json!({
+                    "figure": NAME, "pixels": pixels, "size": options.size, "lights": lights.len(), "samples": 4,
+                    "peer_rules": rules, "peer_calls": peer.calls.map(Call::name),
+                })
+            };
+            let names = peer.rules.map(|(rule, _)| rule.name());
+            let mut ours = row(scene, method.name, params(json!(names)), &own, &truth);
+            let theirs = peer.times(ours.rmse);
+            ours.speedup = paired_speedup(&theirs, &times(&own));
+            ours.counters["peer_time_s"] = json!(median(&theirs));
+            ours.counters["peer_bytes"] = json!(peer.bytes(ours.rmse));
+            ours.counters["bytes_ratio"] = json!(ours.bytes as f64 / peer.bytes(ours.rmse));
+            ours.counters["peer_rmse"] = json!(peer.rules.map(|(_, error)| error));
+            output.row(&ours)?;
+            for (frames, name) in peer.frames.iter().zip(names) {
+                output.row(&row(scene, "embree", params(json!([name])), frames, &truth))?;
+            }
         }
     }
     Ok(())
 }
 
-fn row(
-    scene: &Scene,
-    method: &str,
-    params: serde_json::Value,
-    own: &[Frame],
-    peer: &[Frame],
-    truth: &[f32],
-) -> Row {
-    let times = |frames: &[Frame]| frames.iter().map(|f| f.build_s + f.seconds).collect::<Vec<_>>();
-    let (time_s, last, last_peer) = (median(&times(own)), &own[own.len() - 1], &peer[peer.len() - 1]);
+fn row(scene: &Scene, method: &str, params: Value, frames: &[Frame], truth: &[f32]) -> Row {
+    let (time_s, last) = (median(&times(frames)), &frames[frames.len() - 1]);
     let bias: f64 =
         last.image.iter().zip(truth).map(|(a, b)| f64::from(a - b)).sum::<f64>() / truth.len() as f64;
     Row {
@@ -164,11 +267,10 @@ fn row(
         bias,
         bytes: last.bytes,
         counters: json!({
-            "peer_bytes": last_peer.bytes, "peer_build_s": last_peer.build_s, "peer_rmse": last_peer.rmse(truth),
-            "bytes_ratio": last.bytes as f64 / last_peer.bytes as f64,
+            "camera_s": last.traced_s[0], "shadow_s": last.traced_s[1],
             "micropolygons": last.micropolygons, "hits": last.hits,
         }),
         baseline: "embree",
-        speedup: paired_speedup(&times(peer), &times(own)),
+        speedup: 1.0,
     }
 }

@@ -8,7 +8,8 @@ use super::{
 use crate::rows::{Output, Row, median, paired_speedup};
 use anyhow::Result;
 use serde_json::{Value, json};
-use umbrage_reyes::{Bounds, FootprintRule, SurfaceOptions, TraceOptions};
+use std::time::Instant;
+use umbrage_reyes::{Bounds, FootprintRule, Surface, SurfaceOptions, TraceOptions};
 
 /// One measurement of all methods.
 struct Figure {
@@ -72,6 +73,39 @@ fn methods(tight: u32, shadows: Shadows) -> [Method; 4] {
             trace(TraceOptions::default()),
         ),
     ]
+}
+
+/// Table 6.2: how many patches a scene has. The time is that of making them.
+pub fn patches(scene: &Scene, options: &Options, output: &mut Output) -> Result<()> {
+    const NAME: &str = "6.2 patches";
+    if !options.wants(NAME) {
+        return Ok(());
+    }
+    let start = Instant::now();
+    let surface = Surface::build(&scene.control, &SurfaceOptions::default().with_tight_levels(0))?;
+    let time_s = start.elapsed().as_secs_f64();
+    let count = surface.patch_count();
+    let regular = (0..count as u32).filter(|&p| surface.bicubic(p).is_some()).count();
+    let control = &scene.control;
+    output.row(&Row {
+        suite: "reyes",
+        scene: scene.name.into(),
+        method: "patches".into(),
+        params: json!({ "figure": NAME }),
+        time_s,
+        build_s: time_s,
+        mrays_s: 0.0,
+        rmse: 0.0,
+        bias: 0.0,
+        bytes: surface.bytes(),
+        counters: json!({
+            "patches": count, "regular": regular, "published": scene.published_patches,
+            "faces": control.face_sizes.len(), "vertices": control.positions.len(),
+            "quadrilaterals": control.face_sizes.iter().filter(|&&n| n == 4).count(),
+        }),
+        baseline: "patches",
+        speedup: 1.0,
+    })
 }
 
 /// Rows of all figures for one scene.

@@ -83,10 +83,10 @@ fn render_once(scene: &Scene, setting: &Setting, method: &Method, once: Once) ->
     let surface = Arc::new(Surface::build(&scene.control, &method.surface)?);
     let mut caster = rate(Arc::clone(&surface), &setting.view, once)?;
     let build_s = start.elapsed().as_secs_f64();
-    let (image, rays, hits) = cast(setting, &mut caster);
-    let seconds = start.elapsed().as_secs_f64() - build_s;
+    // Rays take nothing more.
     #[cfg(feature = "embree")]
-    let bytes = crate::memory::peak_since(before) - size_of_val(&image[..]);
+    let bytes = crate::memory::peak_since(before);
+    let Cast { image, rays, hits, traced_s, seconds } = cast(setting, &mut caster);
     #[cfg(not(feature = "embree"))]
     let bytes = surface.bytes() + caster.bytes();
     let operations = surface.counts();
@@ -94,6 +94,7 @@ fn render_once(scene: &Scene, setting: &Setting, method: &Method, once: Once) ->
     Ok(Frame {
         image,
         seconds,
+        traced_s,
         build_s,
         rays,
         hits,
@@ -111,6 +112,8 @@ pub struct Frame {
     /// Share of light samples seen, 1 where nothing is hit; without lights, distance of the hit.
     pub image: Vec<f32>,
     pub seconds: f64,
+    /// Of these, the casting of camera rays and of shadow rays, without what makes the rays. Not of rates by ray.
+    pub traced_s: [f64; 2],
     pub build_s: f64,
     pub rays: usize,
     pub hits: usize,
@@ -156,6 +159,7 @@ pub fn render(scene: &Scene, setting: &Setting, method: &Method) -> Result<Frame
     Ok(Frame {
         image,
         seconds,
+        traced_s: [0.0; 2],
         build_s,
         rays,
         hits,
@@ -217,64 +221,101 @@ fn trace(tracer: &SurfaceTracer, setting: &Setting) -> (Vec<f32>, usize, usize) 
 
 /// Something that rays are traced against.
 pub trait Caster {
-    /// `t` and unit normal of the closest micropolygon.
-    fn closest_hit(&self, ray: &Ray) -> Option<(f32, Vec3)>;
+    /// Appends `t` and unit normal of the closest micropolygon of each ray to `hits`. Returns the seconds of casting, without
+    /// those of converting rays.
+    fn closest_hits(&mut self, rays: &[Ray], hits: &mut Vec<Option<(f32, Vec3)>>) -> f64;
 
-    /// How many of `rays` are blocked.
-    fn count_blocked(&mut self, rays: &[Ray]) -> usize;
+    /// Appends whether each ray is blocked to `blocked`; every `fan` rays have one origin. Returns seconds as above.
+    fn any_hits(&mut self, rays: &[Ray], fan: usize, blocked: &mut Vec<bool>) -> f64;
 }
 
 impl Caster for RatedSurface {
-    fn closest_hit(&self, ray: &Ray) -> Option<(f32, Vec3)> {
-        let hit = self.closest_hit(ray)?;
-        let [a, b, c] = self.corners(&hit).map(Vec3::from);
-        Some((hit.hit.t, (b - a).cross(c - a).normalize_or_zero()))
+    fn closest_hits(&mut self, rays: &[Ray], hits: &mut Vec<Option<(f32, Vec3)>>) -> f64 {
+        let start = Instant::now();
+        hits.extend(rays.iter().map(|ray| {
+            let hit = self.closest_hit(ray)?;
+            let [a, b, c] = self.corners(&hit).map(Vec3::from);
+            Some((hit.hit.t, (b - a).cross(c - a).normalize_or_zero()))
+        }));
+        start.elapsed().as_secs_f64()
     }
 
-    fn count_blocked(&mut self, rays: &[Ray]) -> usize {
-        let mut blocked = 0;
-        for rays in rays.chunks(FAN) {
+    fn any_hits(&mut self, rays: &[Ray], fan: usize, blocked: &mut Vec<bool>) -> f64 {
+        let start = Instant::now();
+        for rays in rays.chunks(fan).flat_map(|rays| rays.chunks(FAN)) {
             let mut hits = [false; FAN];
-            self.any_hits(rays, &mut hits[..rays.len()]);
-            blocked += hits.iter().filter(|&&hit| hit).count();
+            Self::any_hits(self, rays, &mut hits[..rays.len()]);
+            blocked.extend(&hits[..rays.len()]);
         }
-        blocked
+        start.elapsed().as_secs_f64()
     }
 }
 
-/// Renders as [`render`] does, with shadow rays from micropolygons; without lights, distances. Returns image, rays, hits.
-pub fn cast(setting: &Setting, caster: &mut impl Caster) -> (Vec<f32>, usize, usize) {
+/// An image by a [`Caster`], and what it took.
+pub struct Cast {
+    pub image: Vec<f32>,
+    pub rays: usize,
+    pub hits: usize,
+    /// Seconds of casting: camera rays, shadow rays.
+    pub traced_s: [f64; 2],
+    /// Seconds in all.
+    pub seconds: f64,
+}
+
+/// Pixels whose rays are cast together: a tile of [`View::pixels`].
+const TILE: usize = 256;
+
+/// Renders as [`render`] does, with shadow rays from micropolygons; without lights, distances.
+pub fn cast(setting: &Setting, caster: &mut impl Caster) -> Cast {
+    let start = Instant::now();
     let size = setting.view.size;
     let samples = setting.strata[0] * setting.strata[1];
     let most = samples as usize * setting.lights.len();
-    let mut image = vec![1f32; (size * size) as usize];
-    let mut shadow_rays = Vec::with_capacity(most);
-    let (mut rays, mut hits) = (0, 0);
+    let mut cast = Cast {
+        image: vec![1f32; (size * size) as usize],
+        rays: 0,
+        hits: 0,
+        traced_s: [0.0; 2],
+        seconds: 0.0,
+    };
+    let (mut rays, mut hits) = (Vec::with_capacity(TILE), Vec::with_capacity(TILE));
+    let (mut shadow_rays, mut blocked) = (Vec::new(), Vec::new());
     // Hits are as exact as `t` is.
     let magnitude = 8.0 * setting.view.eye.abs().max_element();
-    for (x, y) in setting.view.pixels() {
-        let (ray, _) = setting.view.ray(x, y);
-        rays += 1;
-        let Some((t, normal)) = caster.closest_hit(&ray) else { continue };
-        hits += 1;
-        if setting.lights.is_empty() {
-            image[(y * size + x) as usize] = t;
-            continue;
-        }
-        let point = ray.at(t);
+    let pixels: Vec<(u32, u32)> = setting.view.pixels().collect();
+    for tile in pixels.chunks(TILE) {
+        rays.clear();
+        rays.extend(tile.iter().map(|&(x, y)| setting.view.ray(x, y).0));
+        hits.clear();
+        cast.traced_s[0] += caster.closest_hits(&rays, &mut hits);
+        cast.rays += rays.len();
+        cast.hits += hits.iter().flatten().count();
         shadow_rays.clear();
-        for (l, light) in setting.lights.iter().enumerate() {
-            for i in 0..samples {
-                let (target, _) = light.sample(i, setting.strata, jitter(x, y, l, i));
-                let origin = offset_origin(point, normal, target - point, magnitude);
-                shadow_rays.push(Ray::between(origin, target));
+        let seen = || tile.iter().zip(&rays).zip(&hits).filter_map(|(p, hit)| Some((p, (*hit)?)));
+        for ((&(x, y), ray), (t, normal)) in seen() {
+            cast.image[(y * size + x) as usize] = t;
+            let point = ray.at(t);
+            for (l, light) in setting.lights.iter().enumerate() {
+                for i in 0..samples {
+                    let (target, _) = light.sample(i, setting.strata, jitter(x, y, l, i));
+                    let origin = offset_origin(point, normal, target - point, magnitude);
+                    shadow_rays.push(Ray::between(origin, target));
+                }
             }
         }
-        rays += shadow_rays.len();
-        let blocked = caster.count_blocked(&shadow_rays);
-        image[(y * size + x) as usize] = 1.0 - blocked as f32 / most as f32;
+        if most == 0 {
+            continue;
+        }
+        blocked.clear();
+        cast.traced_s[1] += caster.any_hits(&shadow_rays, most, &mut blocked);
+        cast.rays += shadow_rays.len();
+        for (((&(x, y), _), _), blocked) in seen().zip(blocked.chunks(most)) {
+            let count = blocked.iter().filter(|&&b| b).count();
+            cast.image[(y * size + x) as usize] = 1.0 - count as f32 / most as f32;
+        }
     }
-    (image, rays, hits)
+    cast.seconds = start.elapsed().as_secs_f64();
+    cast
 }
 
 /// The limit surface, by triangles much smaller than pixels.

@@ -84,6 +84,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
                 _ if !options.peers.is_empty() => 5,
                 _ => 4,
             };
+            figures::patches(&scene, options, output)?;
             let reference = frame::Reference::new(&scene, level)?;
             figures::run(&scene, options, &reference, output)?;
             study::run(&scene, options, &reference, output)?;

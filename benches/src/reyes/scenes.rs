@@ -14,6 +14,8 @@ use umbrage_scene::mesh_file::read_polygons;
 pub struct Scene {
     pub name: &'static str,
     pub control: PolygonMesh,
+    /// Patches in table 6.2 of the dissertation.
+    pub published_patches: u32,
     /// From the middle of the object to the camera, for the normal view.
     towards: Vec3,
     up: Vec3,
@@ -55,18 +57,20 @@ fn cube() -> PolygonMesh {
 pub fn all() -> Result<Vec<Scene>> {
     let mut scenes = Vec::new();
     let characters = [
-        ("monsterfrog", "monsterfrog.obj", [0.5, 0.45, 1.0], [0.0, 0.5, 0.8]),
-        ("bigguy", "bigguy.obj", [0.35, 0.3, 1.0], [0.05, 0.55, 0.5]),
-        ("killeroo", "killeroo_requad.obj", [0.9, 0.25, -0.5], [0.0, 0.6, -0.75]),
+        ("monsterfrog", "monsterfrog.obj", 1292, [0.5, 0.45, 1.0], [0.0, 0.5, 0.8]),
+        ("bigguy", "bigguy.obj", 1450, [0.35, 0.3, 1.0], [0.05, 0.55, 0.5]),
+        ("killeroo", "killeroo_requad.obj", 3042, [0.9, 0.25, -0.5], [0.0, 0.6, -0.75]),
     ];
     let folder = mesh_folder();
-    for (name, file, towards, detail) in characters {
+    for (name, file, published_patches, towards, detail) in characters {
         let Some(path) = folder.as_ref().map(|f| f.join("subdivision").join(file)) else { continue };
         let control = read_polygons(&path)?;
-        scenes.push(Scene { name, control, towards: towards.into(), up: Vec3::Y, detail: detail.into() });
+        let (towards, up, detail) = (towards.into(), Vec3::Y, detail.into());
+        scenes.push(Scene { name, control, published_patches, towards, up, detail });
     }
     let (towards, detail) = (Vec3::new(0.5, 0.4, 1.0), Vec3::new(0.3, 0.3, 0.6));
-    scenes.push(Scene { name: "sphere", control: cube(), towards, up: Vec3::Y, detail });
+    let (control, published_patches, up) = (cube(), 6, Vec3::Y);
+    scenes.push(Scene { name: "sphere", control, published_patches, towards, up, detail });
     Ok(scenes)
 }
 

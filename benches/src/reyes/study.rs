@@ -2,7 +2,7 @@
 //! with and without cracks.
 
 use super::{
-    Options, SMALL, cracks,
+    Options, cracks,
     figures::{ROOM, row},
     frame::{Frame, Method, Once, Reference, Setting, Shadows, render},
     scenes::Scene,
@@ -17,6 +17,9 @@ use std::time::Instant;
 use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, TraceOptions};
 
 const MAX_LEVEL: u8 = 9;
+
+/// Pixels along a side of images at most: fourteen methods take minutes.
+const LARGEST: u32 = 512;
 
 fn methods() -> Vec<Method> {
     let tight = SurfaceOptions::default().with_tree_bytes(ROOM);
@@ -46,8 +49,10 @@ fn methods() -> Vec<Method> {
 
 /// Rows of all methods for one scene: a normal view with 5 lights, a close view, and random views for cracks.
 pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
-    let (passes, views) = if options.quick { (1, 2) } else { (3, 5) };
-    let options = &Options { size: options.size.min(SMALL), ..options.clone() };
+    let options = &Options { size: options.size.min(LARGEST), ..options.clone() };
+    // Two views of 512 pixels a side have half a million rays.
+    let views = if options.quick || options.size > 128 { 2 } else { 5 };
+    let passes = options.passes();
     let lights = scene.lights();
     let methods = methods();
     for (name, close, shadows, lit) in [

@@ -18,6 +18,10 @@ pub struct PolygonMesh {
     pub creases: Vec<([u32; 2], f32)>,
     /// Vertices with a sharpness above 0.
     pub sharp_vertices: Vec<(u32, f32)>,
+    /// What happens at the boundary of an open mesh.
+    pub boundary: BoundaryRule,
+    /// How the sharpness of creases decays.
+    pub crease_method: CreaseMethod,
     /// Named runs of faces in order, without gaps; empty stands for one unnamed object.
     pub objects: Vec<FaceObject>,
 }

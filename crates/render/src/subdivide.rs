@@ -17,11 +17,7 @@ const MAX_LEVEL: u8 = 8;
 
 fn surface(subdivision: &Subdivision) -> Result<Arc<Surface>, SurfaceError> {
     // Patches are divided once, so nothing of their trees has to be kept.
-    let options = SurfaceOptions::default()
-        .with_tight_levels(0)
-        .with_tree_bytes(0)
-        .with_boundary(subdivision.boundary)
-        .with_creases(subdivision.creases);
+    let options = SurfaceOptions::default().with_tight_levels(0).with_tree_bytes(0);
     Ok(Arc::new(Surface::build(&subdivision.control, &options)?))
 }
 

@@ -6,6 +6,7 @@ use std::{
     process::{Command, Output},
 };
 use tempfile::TempDir;
+use umbrage_scene::mesh_file::read_ply_vertices;
 
 const SCENE: &str = r#"
 [image]
@@ -374,6 +375,68 @@ fn control_meshes_become_surfaces() {
     folder.fails("render scene.toml --subdivide -o c.png", &["scene.toml"]);
     folder.fails("render mesh.obj --subdivide=0 -o c.png", &["mesh.obj", "width"]);
     folder.fails("bake mesh.obj --subdivide=13 -o c.ply", &["mesh.obj", "level"]);
+}
+
+/// The boundary rule and the crease method of the file, or of the scene file where it names them.
+#[test]
+fn surfaces_obey_the_tags_of_the_file() {
+    const QUAD: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n";
+    let folder = Folder::new();
+    let write = |text: String| fs::write(folder.path("tagged.obj"), text).unwrap();
+    let corners = |from: &str| {
+        folder.ok(&format!("bake {from} -o corners.ply --rays 8"));
+        read_ply_vertices(&folder.path("corners.ply")).unwrap().positions
+    };
+    let has = |positions: &[[f32; 3]], x: f32| {
+        positions.iter().any(|p| (p[0] - x).abs() < 1e-6 && (p[1] - x).abs() < 1e-6)
+    };
+    // The corner itself, or the end of the boundary's cubic B-spline: a sixth of each neighbour.
+    for (tag, at, not_at) in [
+        ("", 1.0 / 6.0, 0.0),
+        ("t interpolateboundary 1/0/0 2", 1.0 / 6.0, 0.0),
+        ("t interpolateboundary 1/0/0 1", 0.0, 1.0 / 6.0),
+        ("#t interpolateboundary 1/0/0 1", 0.0, 1.0 / 6.0),
+    ] {
+        write(format!("{QUAD}{tag}\n"));
+        let positions = corners("tagged.obj --subdivide=0");
+        assert!(has(&positions, at) && !has(&positions, not_at), "{tag}: {positions:?}");
+    }
+    let scene = |subdivide: &str| {
+        let text = format!(
+            "camera = {{ position = [2, 2, 3], target = [0, 0, 0] }}\n[ambient]\n[[objects]]\n\
+             mesh = {{ file = \"tagged.obj\", subdivide = {{ level = 0{subdivide} }} }}\n"
+        );
+        fs::write(folder.path("tagged.toml"), text).unwrap();
+        corners("tagged.toml")
+    };
+    assert!(has(&scene(""), 0.0));
+    assert!(has(&scene(", boundary = \"edge-only\""), 1.0 / 6.0));
+    // A ridge whose sharpness changes.
+    let mut sheet: String =
+        (0..25).map(|i| format!("v {} {} {}\n", i % 5, i / 5, if i / 5 == 2 { 1 } else { 0 })).collect();
+    for a in (1..20).filter(|a| a % 5 != 0) {
+        sheet += &format!("f {} {} {} {}\n", a, a + 1, a + 6, a + 5);
+    }
+    sheet += "t crease 2/1/0 11 12 1\nt crease 2/1/0 12 13 2\n";
+    let mut methods = ["", "t creasemethod 0/0/1 normal\n", "t creasemethod 0/0/1 chaikin\n"].map(|tag| {
+        write(format!("{sheet}{tag}"));
+        corners("tagged.obj --subdivide=1")
+    });
+    assert_eq!(methods[0], methods[1]);
+    let heights = methods.each_mut().map(|positions| {
+        positions.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+        positions.iter().find(|p| (p[0] - 2.0).abs() < 0.1 && (p[1] - 2.0).abs() < 1e-6).unwrap()[2]
+    });
+    // Sharpness 1 and 2 becomes 0.25 and 0.75 instead of 0 and 1: half a level more as a ridge.
+    assert!(heights[2] > heights[0] + 0.01, "{heights:?}");
+    for command in ["bake tagged.obj --subdivide -o x.ply", "render tagged.obj --subdivide -o x.png"] {
+        write(format!("{QUAD}t creasemethod 0/0/1 foo\n"));
+        folder.fails(command, &["tagged.obj:6:", "'foo'", "'normal' or 'chaikin'"]);
+        write(format!("{QUAD}t interpolateboundary 1/0/0 3\n"));
+        folder.fails(command, &["tagged.obj:6:", "interpolateboundary", "0, 1 or 2"]);
+        write(format!("{QUAD}t hole 1/0/0 0\n"));
+        folder.fails(command, &["tagged.obj:6:", "tag 'hole' is not implemented"]);
+    }
 }
 
 #[test]

@@ -8,7 +8,7 @@ use crate::{
     surface::{Link, Meeting, Patch},
 };
 use std::collections::HashMap;
-use umbrage_geom::{PolygonMesh, glam::Vec3};
+use umbrage_geom::{BoundaryRule, PolygonMesh, glam::Vec3};
 
 /// Named runs of faces follow one another from the first face to the last.
 pub(crate) fn check_objects(control: &PolygonMesh) -> Result<(), SurfaceError> {
@@ -29,13 +29,19 @@ pub(crate) fn check_objects(control: &PolygonMesh) -> Result<(), SurfaceError> {
     Ok(())
 }
 
-/// The control mesh of the texture: one vertex for each different coordinate of a vertex.
+/// The control mesh of the texture: one vertex for each different coordinate of a vertex. Corners of its seams and
+/// boundaries keep their place, whatever the boundary rule of the positions is.
 pub(crate) fn uv_control(control: &PolygonMesh) -> Result<PolygonMesh, SurfaceError> {
     let expected = control.corners.len();
     if control.corner_uvs.len() != expected {
         return Err(SurfaceError::UvCount { count: control.corner_uvs.len(), expected });
     }
-    let mut uv = PolygonMesh { face_sizes: control.face_sizes.clone(), ..PolygonMesh::default() };
+    let mut uv = PolygonMesh {
+        face_sizes: control.face_sizes.clone(),
+        boundary: BoundaryRule::EdgeAndCorner,
+        crease_method: control.crease_method,
+        ..PolygonMesh::default()
+    };
     let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
     for (corner, (&v, &[x, y])) in control.corners.iter().zip(&control.corner_uvs).enumerate() {
         if !x.is_finite() || !y.is_finite() {

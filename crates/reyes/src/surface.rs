@@ -6,7 +6,7 @@ use crate::{
     kernel::Kernel,
     length::Lengths,
     patch::{Kind, Lattice, Node, TreeContext},
-    subdiv::{BoundaryRule, CreaseMethod, NONE, SubdivisionMesh},
+    subdiv::{NONE, SubdivisionMesh},
 };
 use std::sync::{OnceLock, atomic::Ordering::Relaxed};
 use umbrage_accel::BackEnd;
@@ -22,10 +22,6 @@ pub(crate) const SIZE: u32 = 1 << 16;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SurfaceOptions {
-    /// What happens at the boundary of an open mesh.
-    pub boundary: BoundaryRule,
-    /// How sharpness decays.
-    pub creases: CreaseMethod,
     /// How patches are bounded.
     pub bounds: Bounds,
     /// Levels of preemptive subdivision that tighten the bounds of patches (Djeu 2011, section 6.13.5), at most 6.
@@ -41,8 +37,6 @@ pub struct SurfaceOptions {
 impl Default for SurfaceOptions {
     fn default() -> Self {
         Self {
-            boundary: BoundaryRule::default(),
-            creases: CreaseMethod::default(),
             bounds: Bounds::default(),
             tight_levels: 1,
             tree_bytes: 256 << 20,
@@ -53,18 +47,6 @@ impl Default for SurfaceOptions {
 }
 
 impl SurfaceOptions {
-    /// With another [`Self::boundary`].
-    #[must_use]
-    pub fn with_boundary(self, boundary: BoundaryRule) -> Self {
-        Self { boundary, ..self }
-    }
-
-    /// With another [`Self::creases`].
-    #[must_use]
-    pub fn with_creases(self, creases: CreaseMethod) -> Self {
-        Self { creases, ..self }
-    }
-
     /// With another [`Self::bounds`].
     #[must_use]
     pub fn with_bounds(self, bounds: Bounds) -> Self {
@@ -206,17 +188,13 @@ impl Surface {
             let value = options.tight_levels.into();
             return Err(SurfaceError::Option { name: "tight_levels", value, expected: "0 to 6" });
         }
-        let mesh = SubdivisionMesh::new(control, options.boundary, options.creases)?;
+        let mesh = SubdivisionMesh::new(control)?;
         check_objects(control)?;
         let mut surface = Self::from_mesh(&mesh, options);
         if !control.corner_uvs.is_empty() {
-            let uv_options = SurfaceOptions {
-                boundary: BoundaryRule::EdgeAndCorner,
-                tight_levels: 0,
-                tree_bytes: options.tree_bytes / 4,
-                ..*options
-            };
-            let uv_mesh = SubdivisionMesh::new(&uv_control(control)?, uv_options.boundary, options.creases)?;
+            let uv_options =
+                SurfaceOptions { tight_levels: 0, tree_bytes: options.tree_bytes / 4, ..*options };
+            let uv_mesh = SubdivisionMesh::new(&uv_control(control)?)?;
             surface.uvs = Some(Box::new(Self::from_mesh(&uv_mesh, &uv_options)));
         }
         surface.objects.clone_from(&control.objects);

@@ -230,11 +230,8 @@ impl SurfaceTracer {
         Some(match self.options.footprint {
             FootprintRule::Entry => self.levels_for(patch, width.least(interval[0], interval[1])),
             FootprintRule::FinalApproach => {
-                let width = match self.coarse_hit(patch, &ray.ray) {
-                    Some(t) => width.at(t),
-                    None => width.least(interval[0], interval[1]),
-                };
-                self.levels_for(patch, width)
+                let [first, last] = self.coarse_hits(patch, &ray.ray).unwrap_or(interval);
+                self.levels_for(patch, width.least(first, last))
             }
             FootprintRule::ExactFinalApproach => self.exact_approach(patch, ray, width, interval),
             FootprintRule::Edges | FootprintRule::ProjectedEdges | FootprintRule::DiagSplit => {
@@ -292,11 +289,13 @@ impl SurfaceTracer {
         (least..self.options.max_level.max(least)).find(fits).unwrap_or(self.options.max_level.max(least))
     }
 
-    /// Where the ray meets the two triangles between the corners of a patch.
-    fn coarse_hit(&self, patch: u32, ray: &Ray) -> Option<f64> {
+    /// Where the ray meets the two triangles between the corners of a patch first and last: a ray that diverges is narrowest at
+    /// the first, one that converges at the last (Djeu 2011, section 6.8).
+    fn coarse_hits(&self, patch: u32, ray: &Ray) -> Option<[f64; 2]> {
         let [a, b, c, d] = [0, 1, 2, 3].map(|k| self.surface.corner(patch, k).to_array());
         let hits = [[a, b, c], [a, c, d]].map(|corners| intersect_triangle(ray, corners));
-        hits.into_iter().flatten().map(|hit| f64::from(hit.t)).reduce(f64::min)
+        let hits = hits.into_iter().flatten().map(|hit| [f64::from(hit.t); 2]);
+        hits.reduce(|[first, last], [t, _]| [first.min(t), last.max(t)])
     }
 
     /// Djeu 2011, section 6.9, with one rate for the whole patch: the footprint is that over all parts the ray enters.

@@ -181,10 +181,9 @@ fn strange_meshes_have_answers() {
 
 #[test]
 fn corners_of_open_meshes_stay_where_the_rule_says() {
-    let mesh = sheet(2, |_, _| 0.0);
-    let corner = |rule| {
-        let options = SurfaceOptions::default().with_boundary(rule);
-        Surface::build(&mesh, &options).unwrap().limit(0, 0.0, 0.0).position
+    let corner = |boundary| {
+        let mesh = PolygonMesh { boundary, ..sheet(2, |_, _| 0.0) };
+        build(&mesh).unwrap().limit(0, 0.0, 0.0).position
     };
     assert_eq!(corner(BoundaryRule::EdgeAndCorner), Vec3::ZERO);
     // The boundary's cubic B-spline: a sixth of each neighbour.

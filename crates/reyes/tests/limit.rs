@@ -73,7 +73,7 @@ fn places(
 /// patches, where vertices of high valence are still on their way then, from vertices that have settled. One of `stride` places
 /// in each patch, one of `every` in all.
 fn worst_limit(control: &PolygonMesh, levels: u32, stride: usize, every: usize) -> f64 {
-    let mesh = SubdivisionMesh::new(control, BoundaryRule::EdgeOnly, CreaseMethod::Uniform).unwrap();
+    let mesh = SubdivisionMesh::new(control).unwrap();
     let (surface, fine) = (build(control), refined(&mesh, levels));
     let mut worst = 0f64;
     for (patch, [u, v], vertex) in places(&mesh, &surface, levels, stride).into_iter().step_by(every) {
@@ -106,12 +106,53 @@ fn limit_points_of_characters_are_those_of_eight_more_levels() {
     }
 }
 
+/// With the rules that the files name, or imply.
+#[test]
+fn limit_points_of_tagged_shapes_are_those_of_eight_more_levels() {
+    let Some(folder) = mesh_folder() else { return };
+    let mut shapes = 0;
+    for entry in std::fs::read_dir(folder.join("opensubdiv")).unwrap() {
+        let path = entry.unwrap().path();
+        if !path.file_stem().unwrap().to_str().unwrap().ends_with("_control") {
+            continue;
+        }
+        let worst = worst_limit(&read_polygons(&path).unwrap(), 4, 29, 1);
+        println!("{}: {worst:e}", path.display());
+        assert!(worst < 5e-7, "{}: {worst:e}", path.display());
+        shapes += 1;
+    }
+    assert!(shapes >= 15, "{shapes} shapes");
+}
+
+/// Corners that keep their place, and Chaikin's creases.
+#[test]
+fn limit_points_obey_the_rules_of_the_mesh() {
+    let mut chain = sheet(4, |i, j| ((i * 7 + j * 3) % 5) as f32 * 0.3);
+    chain.creases = vec![([11, 12], 3.0), ([12, 13], 1.5), ([12, 17], 0.8), ([17, 22], 10.0)];
+    for (name, control) in zoo().into_iter().chain([("chain", chain.clone())]) {
+        let (boundary, crease_method) = (BoundaryRule::EdgeAndCorner, CreaseMethod::Chaikin);
+        let worst = worst_limit(&PolygonMesh { boundary, crease_method, ..control }, 3, 3, 1);
+        assert!(worst < 5e-7, "{name}: {worst:e}");
+    }
+    // Corner 0 of the sheet is that of patch 0, vertex 12 that of patch 10.
+    let uniform = build(&chain);
+    let pinned = build(&PolygonMesh { boundary: BoundaryRule::EdgeAndCorner, ..chain.clone() });
+    let chaikin = build(&PolygonMesh { crease_method: CreaseMethod::Chaikin, ..chain.clone() });
+    let at = |surface: &Surface, patch| surface.limit(patch, 0.0, 0.0).position;
+    assert_eq!(at(&pinned, 0), Vec3::from(chain.positions[0]));
+    assert!(at(&uniform, 0).distance(at(&pinned, 0)) > 0.1);
+    assert_eq!((at(&pinned, 10), at(&chaikin, 0)), (at(&uniform, 10), at(&uniform, 0)));
+    assert!(at(&chaikin, 10).distance(at(&uniform, 10)) > 1e-4, "{}", at(&chaikin, 10));
+}
+
 /// What is around a vertex doesn't need the rest of the mesh.
 #[test]
 fn vertices_need_only_what_is_around_them() {
     for (name, control) in zoo() {
         for method in [CreaseMethod::Uniform, CreaseMethod::Chaikin] {
-            let mesh = SubdivisionMesh::new(&control, BoundaryRule::EdgeAndCorner, method).unwrap();
+            let boundary = BoundaryRule::EdgeAndCorner;
+            let control = PolygonMesh { boundary, crease_method: method, ..control.clone() };
+            let mesh = SubdivisionMesh::new(&control).unwrap();
             let fine = refined(&mesh, 3);
             for vertex in 0..control.positions.len() as u32 {
                 let off = followed(&mesh, vertex, 3).distance(fine.positions()[vertex as usize]);

@@ -1,11 +1,11 @@
-//! Refined levels against OpenSubdiv's regression shapes, as point sets.
+//! Refined levels against OpenSubdiv's regression shapes, as point sets, from OBJ files with the tags of the source.
 
 mod common;
 
 use common::mesh_folder;
 use serde_json::Value;
 use std::{collections::HashMap, path::Path};
-use umbrage_geom::{Aabb, glam::DVec3};
+use umbrage_geom::{Aabb, PolygonMesh, glam::DVec3};
 use umbrage_reyes::{BoundaryRule, CreaseMethod, SubdivisionMesh};
 use umbrage_scene::mesh_file::read_polygons;
 
@@ -51,6 +51,16 @@ fn distance(a: &[DVec3], b: &[DVec3], cell: f64) -> f64 {
     worst
 }
 
+/// The control mesh that an OBJ with tags as statements gives: the files here have them as comments.
+fn read_with_statements(path: &Path, name: &str) -> PolygonMesh {
+    let text = std::fs::read_to_string(path).unwrap();
+    let copy = std::env::temp_dir().join(format!("umbrage-opensubdiv-{}-{name}.obj", std::process::id()));
+    std::fs::write(&copy, text.replace("#t ", "t ")).unwrap();
+    let mesh = read_polygons(&copy).unwrap();
+    std::fs::remove_file(&copy).unwrap();
+    mesh
+}
+
 #[test]
 fn refined_levels_are_those_of_opensubdiv() {
     let Some(folder) = mesh_folder() else { return };
@@ -62,14 +72,16 @@ fn refined_levels_are_those_of_opensubdiv() {
         }
         let about: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
         let name = about["name"].as_str().unwrap();
-        let mut control = read_polygons(&path.with_file_name(about["control"].as_str().unwrap())).unwrap();
+        let source = path.with_file_name(about["control"].as_str().unwrap());
+        let control = read_with_statements(&source, name);
+        assert_eq!(control, read_polygons(&source).unwrap(), "{name}");
         let number = |v: &Value| v.as_f64().unwrap();
         let list = |key: &str| about[key].as_array().unwrap().clone();
-        control.creases = list("creases")
+        let creases: Vec<_> = list("creases")
             .iter()
             .map(|c| ([number(&c[0]) as u32, number(&c[1]) as u32], number(&c[2]) as f32))
             .collect();
-        control.sharp_vertices =
+        let corners: Vec<_> =
             list("corners").iter().map(|c| (number(&c[0]) as u32, number(&c[1]) as f32)).collect();
         let boundary = match about["boundary"].as_str() {
             Some("edge_and_corner") => BoundaryRule::EdgeAndCorner,
@@ -79,7 +91,9 @@ fn refined_levels_are_those_of_opensubdiv() {
             Some("chaikin") => CreaseMethod::Chaikin,
             _ => CreaseMethod::Uniform,
         };
-        let mut mesh = SubdivisionMesh::new(&control, boundary, method).unwrap();
+        assert_eq!((&control.creases, &control.sharp_vertices), (&creases, &corners), "{name}");
+        assert_eq!((control.boundary, control.crease_method), (boundary, method), "{name}");
+        let mut mesh = SubdivisionMesh::new(&control).unwrap();
         let extent = Aabb::from_points(&control.positions).diagonal();
         let tolerance = f64::from(extent) * if name.ends_with("flap") { 3e-6 } else { 1e-6 };
         for level in list("levels") {

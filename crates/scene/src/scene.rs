@@ -1,6 +1,6 @@
 //! What a scene is, once read: plain data that the renderer turns into acceleration structures.
 
-use umbrage_geom::{BoundaryRule, CreaseMethod, Falloff, PolygonMesh, TriangleMesh, glam::Affine3A};
+use umbrage_geom::{Falloff, PolygonMesh, TriangleMesh, glam::Affine3A};
 
 /// A scene: geometry, lights, a camera and settings.
 #[derive(Clone, Debug)]
@@ -46,20 +46,16 @@ impl NamedMesh {
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Subdivision {
-    /// The control mesh.
+    /// The control mesh, with its boundary rule and its crease method.
     pub control: PolygonMesh,
     /// How finely.
     pub rate: SubdivisionRate,
-    /// What happens at the boundary of an open mesh.
-    pub boundary: BoundaryRule,
-    /// How sharpness decays.
-    pub creases: CreaseMethod,
 }
 
 impl Subdivision {
     /// The surface of a control mesh at a rate.
     pub fn new(control: PolygonMesh, rate: SubdivisionRate) -> Self {
-        Self { control, rate, ..Self::default() }
+        Self { control, rate }
     }
 }
 

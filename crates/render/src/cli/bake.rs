@@ -29,8 +29,8 @@ pub struct BakeArguments {
     /// File to write: .ply or .obj with vertex colours, .png or .exr with --per texel, .ply with --points.
     #[arg(short, long)]
     output: PathBuf,
-    /// MESH is an .obj control mesh of a Catmull-Clark surface, creases included: its faces are cut into 2^LEVEL x 2^LEVEL
-    /// cells on the surface, whose vertices are baked.
+    /// MESH is an .obj control mesh of a Catmull-Clark surface, with its tags for creases and boundaries: its faces are cut into
+    /// 2^LEVEL x 2^LEVEL cells on the surface, whose vertices are baked.
     #[arg(long, value_name = "LEVEL", num_args = 0..=1, require_equals = true, default_missing_value = "3")]
     subdivide: Option<u8>,
     /// How occlusion is computed.

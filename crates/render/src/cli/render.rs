@@ -30,7 +30,8 @@ pub struct RenderArguments {
     /// .png.
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// SCENE is an .obj control mesh of a Catmull-Clark surface, creases included: micropolygons of about so many pixels.
+    /// SCENE is an .obj control mesh of a Catmull-Clark surface, with its tags for creases and boundaries: micropolygons of about
+    /// so many pixels.
     #[arg(long, value_name = "PIXELS", num_args = 0..=1, require_equals = true, default_missing_value = "1")]
     subdivide: Option<f32>,
     /// How rays to lights are answered.

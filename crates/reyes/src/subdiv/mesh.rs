@@ -1,13 +1,13 @@
 //! Whole meshes: checking, neighbours, one level of refinement.
 
 use super::{
-    BoundaryRule, CreaseMethod, Fan, MAX_VALENCE, Spoke,
+    CreaseMethod, Fan, MAX_VALENCE, Spoke,
     rules::{self, INFINITE_SHARPNESS, Star, child_sharpness, decay},
 };
 use crate::SurfaceError;
 use std::collections::HashMap;
 use umbrage_geom::{
-    MeshError, PolygonMesh,
+    BoundaryRule, MeshError, PolygonMesh,
     glam::{DVec3, Vec3},
     mesh::{MAX_ELEMENTS, validate_positions},
 };
@@ -108,15 +108,12 @@ fn check(control: &PolygonMesh) -> Result<(), SurfaceError> {
 }
 
 impl SubdivisionMesh {
-    /// Checks a control mesh and finds its neighbours; takes linear time.
+    /// Checks a control mesh and finds its neighbours; takes linear time. The control mesh's boundary rule and crease method
+    /// hold for all levels.
     ///
     /// # Errors
     /// [`SurfaceError`], all kinds but those about options and texture coordinates.
-    pub fn new(
-        control: &PolygonMesh,
-        boundary: BoundaryRule,
-        method: CreaseMethod,
-    ) -> Result<Self, SurfaceError> {
+    pub fn new(control: &PolygonMesh) -> Result<Self, SurfaceError> {
         check(control)?;
         let mut starts = vec![0];
         starts.extend(control.face_sizes.iter().scan(0, |end, &n| {
@@ -128,9 +125,10 @@ impl SubdivisionMesh {
             vertex_sharpness[v as usize] = s.max(vertex_sharpness[v as usize]);
         }
         let positions = control.positions.iter().map(|&p| Vec3::from(p).as_dvec3()).collect();
-        let mut mesh = Self::connect(positions, starts, control.corners.clone(), vertex_sharpness, method)?;
+        let corners = control.corners.clone();
+        let mut mesh = Self::connect(positions, starts, corners, vertex_sharpness, control.crease_method)?;
         mesh.set_creases(control)?;
-        mesh.split_fans(boundary)?;
+        mesh.split_fans(control.boundary)?;
         Ok(mesh)
     }
 

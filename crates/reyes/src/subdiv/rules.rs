@@ -107,3 +107,22 @@ pub(crate) fn edge_point(a: DVec3, b: DVec3, sharpness: f32, faces: Option<[DVec
         _ => middle,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn creases_decay_by_the_method() {
+        let edges = [0.0, 1.0, 2.0, 3.0, INFINITE_SHARPNESS];
+        let children = |edges: &[f32], method| -> Vec<f32> {
+            (0..edges.len()).map(|i| child_sharpness(edges.iter().copied(), i, method)).collect()
+        };
+        assert_eq!(children(&edges, CreaseMethod::Uniform), [0.0, 0.0, 1.0, 2.0, INFINITE_SHARPNESS]);
+        // A quarter of the mean of the other two that decay.
+        assert_eq!(children(&edges, CreaseMethod::Chaikin), [0.0, 0.375, 1.0, 1.625, INFINITE_SHARPNESS]);
+        // An end has nothing to be smoothed with, and nothing is below 0.
+        assert_eq!(children(&[0.0, 2.5, 0.0], CreaseMethod::Chaikin), [0.0, 1.5, 0.0]);
+        assert_eq!(children(&[0.5, 0.5], CreaseMethod::Chaikin), [0.0, 0.0]);
+    }
+}

@@ -1,10 +1,11 @@
 //! Meshes and points from files, and meshes to files.
 //!
-//! Here: the choice of format and the errors. Not here: the formats (`obj.rs`, `ply.rs`, `gltf.rs`, `write.rs`).
+//! Here: the choice of format and the errors. Not here: the formats (`obj.rs` with `tags.rs`, `ply.rs`, `gltf.rs`, `write.rs`).
 
 mod gltf;
 mod obj;
 mod ply;
+mod tags;
 mod write;
 
 pub use write::{VertexAttributes, WriteMeshError, write_obj, write_ply, write_ply_points};
@@ -132,11 +133,18 @@ pub fn read_mesh(path: &Path) -> Result<TriangleMesh, MeshFileError> {
     .map_err(|flaw| flaw.at(path))
 }
 
-/// Reads an OBJ file with its polygons and the tags that subdivision needs: `t crease` and `t corner` statements, also as
-/// `#t` comments, with vertices counted from 0.
+/// Reads an OBJ file with its polygons and the tags that subdivision needs, `t` statements or `#t` comments, as OpenSubdiv's
+/// regression shapes have them:
+///
+/// - `t crease 2/1/0 a b s`: the edge between two vertices, counted from 0, has sharpness `s`; longer, a chain of vertices
+///   with one sharpness for all edges or one for each;
+/// - `t corner 1/1/0 v s`: sharpness of a vertex, or of several;
+/// - `t interpolateboundary 1/0/0 n`: 1 is [`BoundaryRule::EdgeAndCorner`](umbrage_geom::BoundaryRule::EdgeAndCorner), 2 is
+///   `EdgeOnly`, as without the tag; 0 is accepted for meshes without a boundary;
+/// - `t creasemethod 0/0/1 normal` or `chaikin`: [`CreaseMethod`](umbrage_geom::CreaseMethod).
 ///
 /// # Errors
-/// [`MeshFileError`].
+/// [`MeshFileError`], also for tags and values of tags that are not implemented.
 pub fn read_polygons(path: &Path) -> Result<PolygonMesh, MeshFileError> {
     known_extension(path, &["obj"], ".obj")?;
     let bytes = read_file(path)?;

@@ -1,9 +1,11 @@
-//! Wavefront OBJ: vertices, normals, texture coordinates, polygons, object names and subdivision tags.
+//! Wavefront OBJ: vertices, normals, texture coordinates, polygons and object names.
+//!
+//! Not here: what subdivision tags mean (`tags.rs`).
 //!
 //! Our own reader, because `tobj` splits vertices at object borders, renumbers them, and doesn't name lines; tests
 //! compare with it.
 
-use super::Flaw;
+use super::{Flaw, tags::Tags};
 use umbrage_geom::mesh::{MAX_COORDINATE, MAX_ELEMENTS};
 use umbrage_geom::{FaceObject, MeshError, PolygonMesh, TriangleMesh};
 
@@ -23,8 +25,7 @@ pub(super) struct Obj {
     corner_normals: Vec<u32>,
     /// Name, and first face.
     objects: Vec<(String, usize)>,
-    creases: Vec<([u32; 2], f32)>,
-    sharp_vertices: Vec<(u32, f32)>,
+    tags: Tags,
     /// Indices beyond what was declared so far, to be looked at again at the end.
     forward: Vec<Forward>,
 }
@@ -103,7 +104,7 @@ impl Obj {
                 let name = String::from_utf8_lossy(rest).trim().to_string();
                 self.objects.push((name, self.face_sizes.len()));
             }
-            b"t" | b"#t" => self.tag(rest)?,
+            b"t" | b"#t" => self.tags.read(rest, number, keyword == b"#t")?,
             [] | [b'#', ..] => {}
             // What else an OBJ may hold doesn't concern shadows, but a binary file is not an OBJ.
             _ if line.iter().any(|&b| b < b' ' && b != b'\t') => {
@@ -186,55 +187,6 @@ impl Obj {
         Ok(())
     }
 
-    /// `t crease 2/1/0 a b s` and `t corner 1/1/0 v s`, or longer: a chain of vertices and one sharpness for all or each.
-    fn tag(&mut self, rest: &[u8]) -> Result<(), String> {
-        let mut words = words(rest);
-        let name = words.next().unwrap_or_default();
-        if name != b"crease" && name != b"corner" {
-            return Ok(());
-        }
-        let name = quote(name);
-        let counts: Option<Vec<i64>> =
-            words.next().unwrap_or_default().split(|&b| b == b'/').map(parse_integer).collect();
-        let (ints, numbers) = match counts.as_deref() {
-            Some(&[ints, numbers, ..]) if ints > 0 && numbers > 0 => (ints as usize, numbers as usize),
-            _ => return Err(format!("{name} tag without counts such as 2/1/0")),
-        };
-        let mut vertices = Vec::new();
-        for word in words.by_ref().take(ints) {
-            // Tags count from 0.
-            match parse_integer(word) {
-                Some(v) if (0..MAX_ELEMENTS as i64).contains(&v) => vertices.push(v as u32),
-                _ => return Err(format!("{name} tag: '{}' is not a vertex", quote(word))),
-            }
-        }
-        let sharpness: Vec<f32> = words
-            .take(numbers)
-            .map(|w| {
-                parse_float(w)
-                    .filter(|s| *s >= 0.0)
-                    .ok_or_else(|| format!("{name} tag: '{}' is not a sharpness", quote(w)))
-            })
-            .collect::<Result<_, _>>()?;
-        let targets = if name == "crease" { vertices.len().saturating_sub(1) } else { vertices.len() };
-        if vertices.len() != ints || targets == 0 || !(sharpness.len() == 1 || sharpness.len() == targets) {
-            return Err(format!(
-                "{name} tag with {} vertices and {} numbers",
-                vertices.len(),
-                sharpness.len()
-            ));
-        }
-        for i in 0..targets {
-            let s = sharpness[if sharpness.len() == 1 { 0 } else { i }];
-            if s > 0.0 && name == "crease" {
-                self.creases.push(([vertices[i], vertices[i + 1]], s));
-            } else if s > 0.0 {
-                self.sharp_vertices.push((vertices[i], s));
-            }
-        }
-        Ok(())
-    }
-
     pub(super) fn into_triangles(self) -> Result<TriangleMesh, Flaw> {
         let mut mesh = TriangleMesh::default();
         let triangles: usize = self.face_sizes.iter().map(|&n| n as usize - 2).sum();
@@ -292,29 +244,22 @@ impl Obj {
     }
 
     pub(super) fn into_polygons(self) -> Result<PolygonMesh, Flaw> {
-        let count = self.positions.len();
-        let tagged =
-            self.creases.iter().flat_map(|(edge, _)| edge).chain(self.sharp_vertices.iter().map(|(v, _)| v));
-        if let Some(vertex) = tagged.into_iter().find(|&&v| v as usize >= count) {
-            return Err(Flaw::content(format!(
-                "a tag names vertex {vertex}, but there are only {count} (from 0)"
-            )));
-        }
         let corner_uvs = (0..if self.corner_uvs.is_empty() { 0 } else { self.corners.len() })
             .map(|c| match self.corner_uvs.get(c) {
                 Some(&uv) if uv != NONE => self.uvs[uv as usize],
                 _ => [0.0; 2],
             })
             .collect();
-        Ok(PolygonMesh {
+        let mut mesh = PolygonMesh {
             objects: self.face_objects(),
             positions: self.positions,
             face_sizes: self.face_sizes,
             corners: self.corners,
             corner_uvs,
-            creases: self.creases,
-            sharp_vertices: self.sharp_vertices,
-        })
+            ..PolygonMesh::default()
+        };
+        self.tags.apply(&mut mesh)?;
+        Ok(mesh)
     }
 }
 
@@ -336,7 +281,7 @@ fn push_attribute(list: &mut Vec<u32>, index: u32, corner: usize) {
     }
 }
 
-fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+pub(super) fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
     line.split(|b| b.is_ascii_whitespace()).filter(|w| !w.is_empty()).take_while(|w| w[0] != b'#')
 }
 
@@ -357,16 +302,16 @@ fn floats<const N: usize>(rest: &[u8], least: usize, what: &str, parts: &str) ->
     Ok(numbers)
 }
 
-fn parse_float(word: &[u8]) -> Option<f32> {
+pub(super) fn parse_float(word: &[u8]) -> Option<f32> {
     std::str::from_utf8(word).ok()?.parse().ok()
 }
 
-fn parse_integer(word: &[u8]) -> Option<i64> {
+pub(super) fn parse_integer(word: &[u8]) -> Option<i64> {
     // Far below overflow: sums with counts are safe.
     std::str::from_utf8(word).ok()?.parse().ok().filter(|i: &i64| i.abs() < 1 << 40)
 }
 
-fn quote(word: &[u8]) -> String {
+pub(super) fn quote(word: &[u8]) -> String {
     String::from_utf8_lossy(&word[..word.len().min(40)]).into_owned()
 }
 
@@ -399,14 +344,5 @@ mod tests {
         );
         let objects: Vec<_> = mesh.objects.iter().map(|o| (&o.name[..], o.triangles.clone())).collect();
         assert_eq!(objects, [("", 0..1), ("part 1", 1..3), ("b", 3..4)]);
-    }
-
-    #[test]
-    fn tags_are_read_from_comments_and_statements() {
-        let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n#t crease 2/1/0 0 1 2.5\nt corner 2/2/0 0 2 1 0\n\
-                    t crease 3/2/0 0 1 2 1 3\nt interpolateboundary 1/0/0 1\n# t\n";
-        let mesh = parse(text.as_bytes()).and_then(Obj::into_polygons).unwrap();
-        assert_eq!(mesh.creases, [([0, 1], 2.5), ([0, 1], 1.0), ([1, 2], 3.0)]);
-        assert_eq!(mesh.sharp_vertices, [(0, 1.0)]);
     }
 }

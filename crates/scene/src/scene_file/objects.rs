@@ -104,16 +104,32 @@ fn read_mesh_table(fields: &Fields<'_>, name: &str, folder: &Path) -> Result<Nam
         _ => return Err(fields.flaw("needs either 'file' or 'generator'")),
     };
     let subdivision = match (surface, control, subdivide) {
-        (Some(surface), Some(control), _) => Some(Subdivision { control, ..surface }),
+        (Some(surface), Some(control), _) => Some(surface.of(control)),
         (Some(_), None, Some(key)) => return Err(key.flaw("needs a generator of control meshes")),
         _ => None,
     };
     Ok(NamedMesh { name: name.into(), mesh, subdivision })
 }
 
-/// `subdivide`: a length in pixels, or a table. The control mesh comes later.
-fn read_subdivide(value: &Value<'_>) -> Result<Subdivision, Flaw> {
-    let mut surface = Subdivision::default();
+/// What `subdivide` says. Rules that it does not name are those of the control mesh.
+#[derive(Default)]
+struct Subdivide {
+    rate: SubdivisionRate,
+    boundary: Option<BoundaryRule>,
+    creases: Option<CreaseMethod>,
+}
+
+impl Subdivide {
+    fn of(self, mut control: PolygonMesh) -> Subdivision {
+        control.boundary = self.boundary.unwrap_or(control.boundary);
+        control.crease_method = self.creases.unwrap_or(control.crease_method);
+        Subdivision::new(control, self.rate)
+    }
+}
+
+/// `subdivide`: a length in pixels, or a table.
+fn read_subdivide(value: &Value<'_>) -> Result<Subdivide, Flaw> {
+    let mut surface = Subdivide::default();
     match value.raw() {
         DeValue::Integer(_) | DeValue::Float(_) => surface.rate = SubdivisionRate::Pixels(value.positive()?),
         DeValue::Table(_) => {
@@ -127,18 +143,18 @@ fn read_subdivide(value: &Value<'_>) -> Result<Subdivision, Flaw> {
                 (None, None) => {}
             }
             if let Some(boundary) = fields.value("boundary") {
-                surface.boundary = match boundary.text()? {
+                surface.boundary = Some(match boundary.text()? {
                     "edge-only" => BoundaryRule::EdgeOnly,
                     "edge-and-corner" => BoundaryRule::EdgeAndCorner,
                     _ => return Err(boundary.expected("'edge-only' or 'edge-and-corner'")),
-                };
+                });
             }
             if let Some(creases) = fields.value("creases") {
-                surface.creases = match creases.text()? {
+                surface.creases = Some(match creases.text()? {
                     "uniform" => CreaseMethod::Uniform,
                     "chaikin" => CreaseMethod::Chaikin,
                     _ => return Err(creases.expected("'uniform' or 'chaikin'")),
-                };
+                });
             }
             fields.finish()?;
         }
