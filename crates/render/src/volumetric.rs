@@ -26,6 +26,9 @@ enum Way {
     Wide,
 }
 
+/// Rays that walk a kd-tree together.
+const PACKET: usize = 4;
+
 /// Name of the wide hierarchy's method.
 const WIDE: &str = "bvh-volumetric";
 
@@ -152,6 +155,30 @@ fn fraction(blocked: bool) -> f32 {
     if blocked { 0.0 } else { 1.0 }
 }
 
+/// Answers the rays of a receiver to a light in packets of four (Djeu11, section 3.7.1), a ray that is alone by itself.
+fn in_packets(
+    kd: &KdVolumetric,
+    rays: &[LightRay],
+    query: &Query,
+    scratch: &mut Scratch,
+    passed: &mut [f32],
+    stats: &mut impl occluders::Statistics,
+) {
+    let none = Ray::new([0.0; 3], [0.0; 3]);
+    for (rays, passed) in rays.chunks(PACKET).zip(passed.chunks_mut(PACKET)) {
+        let (mut packet, mut hits) = ([none; PACKET], [false; PACKET]);
+        packet.iter_mut().zip(rays).for_each(|(to, from)| *to = from.ray);
+        match rays {
+            [alone] => hits[0] = kd.any_hit_with(&alone.ray, query, scratch, stats),
+            _ => {
+                let (packet, hits) = (&packet[..rays.len()], &mut hits[..rays.len()]);
+                kd.any_hits_in_packets(packet, hits, query, scratch, stats);
+            }
+        }
+        passed.iter_mut().zip(hits).for_each(|(out, hit)| *out = fraction(hit));
+    }
+}
+
 impl Method for Volumetric<'_> {
     fn name(&self) -> &'static str {
         self.name
@@ -183,18 +210,15 @@ impl Method for Volumetric<'_> {
                     .with_occluders(occluders)
                     .with_light(light)
                     .with_guide(guided);
-                let mut counted = occluders::Counters::default();
-                for (to_light, out) in rays.iter().zip(passed) {
-                    let hit = match counters {
-                        Some(_) => kd.any_hit_with(&to_light.ray, &query, &mut scratch, &mut counted),
-                        None => kd.any_hit(&to_light.ray, &query, &mut scratch),
-                    };
-                    *out = fraction(hit);
-                }
-                if let Some(counters) = counters {
-                    counters.nodes += counted.kd.steps;
-                    counters.box_tests += counted.box_tests;
-                    counters.triangle_tests += counted.kd.triangle_tests;
+                match counters {
+                    Some(counters) => {
+                        let mut counted = occluders::Counters::default();
+                        in_packets(kd, rays, &query, &mut scratch, passed, &mut counted);
+                        counters.nodes += counted.kd.steps;
+                        counters.box_tests += counted.box_tests;
+                        counters.triangle_tests += counted.kd.triangle_tests;
+                    }
+                    None => in_packets(kd, rays, &query, &mut scratch, passed, &mut ()),
                 }
                 self.give(Kept::Kd(scratch));
             }
