@@ -40,7 +40,8 @@ struct Arguments {
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
     /// Only this part of a suite; anyhit: choices; aomask: targets, mask, fans, prefilter, bits, table1, table2, figure5,
-    /// figure6, figure7; prefilter: targets, fig1, tables, fig4, fig5, fig6, fig9, fig10, bias, refit, control, forest.
+    /// figure6, figure7; prefilter: targets, fig1, rules, tables, fig4, fig5, fig6, fig9, fig10, bias, refit, control, forest;
+    /// volumetric: wide, kd.
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
     /// Pixels along a side of the images of suite reyes: 96 if quick, else 1024.
@@ -49,7 +50,7 @@ struct Arguments {
     /// Only figures of suite reyes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     figure: Option<String>,
-    /// Folder for plots of suites prefilter and reyes, beside rows.
+    /// Folder for plots of suites aomask (figure 6), prefilter and reyes, beside rows.
     #[arg(long, value_name = "FOLDER")]
     plots: Option<PathBuf>,
     /// Folder for pictures; suites aomask, prefilter (figures 1, 4, 6, 7 and 8), reyes and volumetric.
@@ -71,8 +72,9 @@ fn main() -> Result<()> {
             anyhit::run(&anyhit::Options { quick, peers, threads, only, part }, &mut output)
         }
         "aomask" => {
-            let Arguments { quick, peers, only, part, pictures, .. } = arguments;
-            aomask::run(&aomask::Options { quick, peers, only, part, images: pictures }, &mut output)
+            let Arguments { quick, peers, only, part, plots, pictures, .. } = arguments;
+            let images = pictures;
+            aomask::run(&aomask::Options { quick, peers, only, part, images, plots }, &mut output)
         }
         "prefilter" => {
             let Arguments { quick, peers, only, part, plots, pictures, .. } = arguments;
@@ -83,8 +85,8 @@ fn main() -> Result<()> {
             stability::run(&stability::Options { quick, peers, only }, &mut output)
         }
         "volumetric" => {
-            let Arguments { quick, peers, only, pictures, .. } = arguments;
-            volumetric::run(&volumetric::Options { quick, peers, only, pictures }, &mut output)
+            let Arguments { quick, peers, only, part, pictures, .. } = arguments;
+            volumetric::run(&volumetric::Options { quick, peers, only, part, pictures }, &mut output)
         }
         "reyes" => {
             let Arguments { quick, peers, only, size, figure, plots, pictures, .. } = arguments;

@@ -31,6 +31,12 @@ pub trait Peer {
     /// Every way to ask for any hit; the fastest counts.
     fn any_hit<'a>(&'a self, rays: &'a [Ray]) -> Vec<Box<dyn Entry<bool> + 'a>>;
 
+    /// Every way to ask for any hit of a front, counter-clockwise corners: rays pass through backs.
+    ///
+    /// # Errors
+    /// What the peer reports if it has to build for it.
+    fn front_hit<'a>(&'a self, rays: &'a [Ray]) -> Result<Vec<Box<dyn Entry<bool> + 'a>>>;
+
     /// Every way to dim rays by `opacity` for each triangle hit.
     fn transmittance<'a>(
         &'a self,

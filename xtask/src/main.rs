@@ -49,7 +49,7 @@ enum Task {
         /// Only scenes whose name contains this.
         #[arg(long, value_name = "TEXT")]
         only: Option<String>,
-        /// Only this part of suite aomask or prefilter.
+        /// Only this part of suite anyhit, aomask, prefilter or volumetric.
         #[arg(long, value_name = "NAME")]
         part: Option<String>,
         /// Only figures of suite reyes whose name contains this.
@@ -58,7 +58,7 @@ enum Task {
         /// Pixels along a side of the images of suite reyes.
         #[arg(long, value_name = "N")]
         size: Option<u32>,
-        /// Folder for plots of suites prefilter and reyes, beside rows.
+        /// Folder for plots of suites aomask, prefilter and reyes, beside rows.
         #[arg(long, value_name = "FOLDER")]
         plots: Option<PathBuf>,
         /// Folder for pictures; suites aomask, prefilter, reyes and volumetric.

@@ -32,10 +32,10 @@ pub fn entries<'a>(case: &'a Case, workload: &'a Workload) -> Result<Vec<Box<dyn
 
 /// Rows of `mask` against our own rays and peers, without the other mask methods.
 pub fn rows(case: &Case, workload: &Workload, passes: usize, output: &mut Output) -> Result<()> {
-    let mut all = case.ours.any_hit(&workload.rays);
+    let (mut all, theirs) = measure::single_rays(case, workload)?;
     all.extend(entries(case, workload)?);
-    all.extend(case.peers.iter().flat_map(|peer| peer.any_hit(&workload.rays)));
-    measure::rows_of(all, case, workload, passes, output, |_| json!({}))
+    all.extend(theirs);
+    measure::rows_of(all, case, workload, passes, output, |_| json!({})).map(drop)
 }
 
 struct MaskEntry<'a> {

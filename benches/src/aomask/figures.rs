@@ -1,13 +1,17 @@
 //! Table 2 and figures 5, 6 and 7 of `[Laine10]`, on our scenes.
 
 use super::{
-    Case, Options, TABLE1, measure,
+    Case, Options, SIDES, TABLE1, measure,
     picture::{self, Picture},
     picture_passes,
+    workload::{self, Workload},
 };
-use crate::rows::{Output, Row, median};
+use crate::{
+    plot::{self, Series},
+    rows::{Output, Row, median},
+};
 use anyhow::Result;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::time::Instant;
 use umbrage_aomask::{
     MaskOptions, Outputs, Pattern, PatternOptions, RasterOptions, Receiver, Sides, raster::simplified_levels,
@@ -66,7 +70,8 @@ fn table2(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
         }
         let all = &answers[5];
         for (answer, (tests, paper)) in answers.iter().zip(TABLE2) {
-            let params = json!({ "part": "table2", "rays": 128, "radius": name, "tests": tests });
+            let params =
+                json!({ "part": "table2", "rays": 128, "radius": name, "sides": "front", "tests": tests });
             let mut row = picture::row(case, &picture, &pattern, answer, params);
             let different = answer.masks.iter().zip(&all.masks).filter(|(a, b)| a != b).count();
             row.counters["different_words"] = json!(different);
@@ -82,7 +87,7 @@ fn table2(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     Ok(())
 }
 
-/// Errors against exact rays after quantisation to 8 bits, as pictures and histograms: city, larger radius, 1024 rays.
+/// Agreement with exact rays after quantisation to 8 bits, as pictures and histograms: city, larger radius, 1024 rays.
 fn figure5(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     if case.name != "city" {
         return Ok(());
@@ -91,56 +96,65 @@ fn figure5(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let pattern = pattern(1024)?;
     let tables = picture::tables(case, &pattern)?;
     let picture = Picture::new(case, options.quick);
-    let mask_options = MaskOptions::default().with_radius(radius);
-    let exact: Vec<Option<f64>> =
-        (0..picture.points.len()).map(|i| picture.exact(case, &pattern, &mask_options, i)).collect();
     let scene = picture::scene_level(case);
     let coarse = coarse_levels(case)?;
-    let raster = RasterOptions::default();
-    let rasterized = picture.rasterize(case, &tables, &[scene], &mask_options, &raster, 1)?;
     let mut levels = vec![scene];
     levels.extend(coarse.iter().map(|level| level.level(&case.mesh.positions)));
-    let with_levels = picture.rasterize(case, &tables, &levels, &mask_options, &raster, 1)?;
-    let walked = walk(case, &picture, &tables, &mask_options)?;
-    if let Some(folder) = &options.images {
-        picture.save(folder, "figure5-rays", exact.iter().map(|ao| ao.unwrap_or(1.0)))?;
-    }
-    for (method, mode, ao, time_s) in [
-        ("mask-table", "walk", &walked.0, walked.1),
-        ("mask-raster", "scene", &rasterized.ao, rasterized.times[0]),
-        ("mask-raster", "levels", &with_levels.ao, with_levels.times[0]),
-    ] {
-        let params = json!({ "part": "figure5", "rays": 1024, "radius": name, "mode": mode });
-        let mut row = picture::row(case, &picture, &pattern, &rasterized, params);
-        (row.method, row.time_s) = (method.into(), time_s);
-        row.mrays_s = (picture.seen * pattern.len()) as f64 / time_s * 1e-6;
-        let pairs: Vec<(f64, f64)> =
-            ao.iter().zip(&exact).filter_map(|(&ao, exact)| Some((f64::from(ao), (*exact)?))).collect();
-        let errors: Vec<f64> = pairs.iter().map(|(ao, exact)| ao - exact).collect();
-        row.counters = json!({});
-        picture::put_errors(&mut row, &errors);
-        // Differences in steps of 8 bits, from -8 to 8, what is beyond in the last ones.
-        let mut histogram = [0u32; 17];
-        for (ao, exact) in &pairs {
-            let step = (ao * 255.0).round() - (exact * 255.0).round();
-            histogram[(step.clamp(-8.0, 8.0) + 8.0) as usize] += 1;
-        }
-        row.counters["histogram"] = json!(histogram);
-        row.counters["exact_after_quantisation"] = json!(f64::from(histogram[8]) / pairs.len().max(1) as f64);
-        row.baseline = "rays";
-        output.row(&row)?;
+    for (sides, side_name) in SIDES {
+        let mask_options = MaskOptions::default().with_radius(radius).with_sides(sides);
+        let exact: Vec<Option<f64>> =
+            (0..picture.points.len()).map(|i| picture.exact(case, &pattern, &mask_options, i)).collect();
+        let raster = RasterOptions::default();
+        let rasterized = picture.rasterize(case, &tables, &[scene], &mask_options, &raster, 1)?;
+        let with_levels = picture.rasterize(case, &tables, &levels, &mask_options, &raster, 1)?;
+        let walked = walk(case, &picture, &tables, &mask_options)?;
         if let Some(folder) = &options.images {
-            let file = format!("figure5-{method}-{mode}");
-            picture.save(folder, &file, ao.iter().map(|&ao| f64::from(ao)))?;
-            // White where right, black from an error of 1/16.
-            let error = ao
-                .iter()
-                .zip(&exact)
-                .map(|(&ao, exact)| exact.map_or(1.0, |exact| 1.0 - 16.0 * (f64::from(ao) - exact).abs()));
-            picture.save(folder, &format!("{file}-error"), error)?;
+            let file = format!("figure5-{side_name}-rays");
+            picture.save(folder, &file, exact.iter().map(|ao| ao.unwrap_or(1.0)))?;
+        }
+        for (method, mode, ao, time_s) in [
+            ("mask-table", "walk", &walked.0, walked.1),
+            ("mask-raster", "scene", &rasterized.ao, rasterized.times[0]),
+            ("mask-raster", "levels", &with_levels.ao, with_levels.times[0]),
+        ] {
+            let params = json!({
+                "part": "figure5", "rays": 1024, "radius": name, "sides": side_name, "mode": mode,
+            });
+            let mut row = picture::row(case, &picture, &pattern, &rasterized, params);
+            (row.method, row.time_s) = (method.into(), time_s);
+            row.mrays_s = (picture.seen * pattern.len()) as f64 / time_s * 1e-6;
+            row.counters = agreement(ao, &exact);
+            output.row(&row)?;
+            if let Some(folder) = &options.images {
+                let file = format!("figure5-{side_name}-{method}-{mode}");
+                picture.save(folder, &file, ao.iter().map(|&ao| f64::from(ao)))?;
+                // White where they agree, black from a difference of 1/16.
+                let difference = ao.iter().zip(&exact).map(|(&ao, exact)| {
+                    exact.map_or(1.0, |exact| 1.0 - 16.0 * (f64::from(ao) - exact).abs())
+                });
+                picture.save(folder, &format!("{file}-difference"), difference)?;
+            }
         }
     }
     Ok(())
+}
+
+/// How far the values of a picture are from those of exact rays.
+fn agreement(ao: &[f32], exact: &[Option<f64>]) -> Value {
+    let pairs: Vec<(f64, f64)> =
+        ao.iter().zip(exact).filter_map(|(&ao, exact)| Some((f64::from(ao), (*exact)?))).collect();
+    let differences: Vec<f64> = pairs.iter().map(|(ao, exact)| ao - exact).collect();
+    let mut counters = json!({});
+    measure::put_differences(&mut counters, &differences);
+    // Differences in steps of 8 bits, from -8 to 8, what is beyond in the last ones.
+    let mut histogram = [0u32; 17];
+    for (ao, exact) in &pairs {
+        let step = (ao * 255.0).round() - (exact * 255.0).round();
+        histogram[(step.clamp(-8.0, 8.0) + 8.0) as usize] += 1;
+    }
+    counters["histogram"] = json!(histogram);
+    counters["as_rays_after_quantisation"] = json!(f64::from(histogram[8]) / pairs.len().max(1) as f64);
+    counters
 }
 
 /// `mask-table` on the receivers of a picture: values by pixel, and the time.
@@ -165,7 +179,11 @@ fn walk(
     Ok((all, time_s))
 }
 
-/// Time of an image against the radius, 128 rays.
+/// Seconds that rasterization of a picture may have taken at one radius for the next one to be tried.
+const PATIENCE: f64 = 60.0;
+
+/// Time of a picture against the radius, 128 rays: rasterization draws the picture, all others answer runs of neighbours among
+/// its receivers, and times are those of as many rays as the picture has.
 fn figure6(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     if radii(case).is_none() {
         return Ok(());
@@ -176,23 +194,43 @@ fn figure6(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let diagonal = f64::from(case.mesh.bounds().diagonal());
     let radii: &[f64] =
         if options.quick { &[0.005, 0.02, 0.08] } else { &[0.0025, 0.005, 0.01, 0.02, 0.04, 0.08] };
-    for &radius in radii {
-        let mask_options = MaskOptions::default().with_radius((radius * diagonal) as f32);
-        let rays_s = measure::rays_per_second(case, &picture, &pattern, &mask_options, 7);
-        let all_rays = (picture.seen * pattern.len()) as f64;
-        let walked = walk(case, &picture, &tables, &mask_options)?.1;
-        let raster = RasterOptions::default();
-        let levels = [picture::scene_level(case)];
-        let rasterized = picture.rasterize(case, &tables, &levels, &mask_options, &raster, 1)?;
-        for (method, time_s) in
-            [("rays", all_rays / rays_s), ("mask-table", walked), ("mask-raster", rasterized.times[0])]
-        {
-            let params = json!({ "part": "figure6", "rays": 128, "radius": radius });
-            let row = picture::row(case, &picture, &pattern, &rasterized, params);
-            let counters = if method == "mask-raster" { row.counters.clone() } else { json!({}) };
-            let speedup = all_rays / rays_s / time_s;
-            let mrays_s = all_rays / time_s * 1e-6;
-            output.row(&Row { method: method.into(), time_s, mrays_s, speedup, counters, ..row })?;
+    let all_rays = (picture.seen * pattern.len()) as f64;
+    for (sides, side_name) in SIDES {
+        let mut series: Vec<Series> = Vec::new();
+        let mut raster_s = 0.0;
+        for &radius in radii {
+            let length = (radius * diagonal) as f32;
+            let params = json!({ "part": "figure6", "rays": 128, "radius": radius, "sides": side_name });
+            let points = workload::seen(case, &[picture.view], 128, options.quick);
+            let workload = Workload::new(points, &pattern, length, params.clone()).with_sides(sides);
+            let picture_s = |row: &Row| all_rays / (row.mrays_s * 1e6);
+            let extra = |row: &Row| json!({ "picture_s": picture_s(row) });
+            let mut rows = measure::rows(case, &workload, super::passes(options), output, extra)?;
+            if raster_s <= PATIENCE {
+                let mut row = picture::raster_row(case, &picture, &tables, &workload.options, 1, params)?;
+                raster_s = row.time_s;
+                row.counters["picture_s"] = json!(raster_s);
+                output.row(&row)?;
+                rows.push(row);
+            }
+            for row in &rows {
+                let point = [100.0 * radius, 1e3 * picture_s(row)];
+                match series.iter_mut().find(|series| series.name == row.method) {
+                    Some(series) => series.points.push(point),
+                    None => series.push(Series {
+                        name: row.method.clone(),
+                        points: vec![point],
+                        filled: row.method.starts_with("mask"),
+                    }),
+                }
+            }
+        }
+        if let Some(folder) = &options.plots {
+            let [width, height] = picture.view.size;
+            let title = format!("{}, {width} x {height} pixels, 128 rays, sides: {side_name}", case.name);
+            let labels = ["radius, % of the diagonal", "milliseconds a picture"];
+            let file = format!("aomask-figure6-{}-{side_name}.svg", case.name);
+            plot::save(folder, &file, &title, labels, &series)?;
         }
     }
     Ok(())
@@ -210,31 +248,36 @@ fn figure7(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let pattern = pattern(128)?;
     let tables = picture::tables(case, &pattern)?;
     let picture = Picture::new(case, options.quick);
-    let mask_options = MaskOptions::default().with_radius(radius);
     let scene = picture::scene_level(case);
     let start = Instant::now();
     let coarse = coarse_levels(case)?;
-    let build_s = start.elapsed().as_secs_f64();
+    let levels_s = start.elapsed().as_secs_f64();
     let mut levels = vec![scene];
     levels.extend(coarse.iter().map(|level| level.level(&case.mesh.positions)));
     let raster = RasterOptions::default();
     let passes = picture_passes(options);
-    let whole = picture.rasterize(case, &tables, &levels[..1], &mask_options, &raster, passes)?;
-    let detailed = picture.rasterize(case, &tables, &levels, &mask_options, &raster, passes)?;
-    for (mode, answer, build_s) in [("scene", &whole, 0.0), ("levels", &detailed, build_s)] {
-        let params = json!({ "part": "figure7", "rays": 128, "radius": name, "mode": mode });
-        let mut row = picture::row(case, &picture, &pattern, answer, params);
-        picture::put_errors(&mut row, &picture.errors(case, &pattern, &mask_options, &answer.ao));
-        row.build_s = build_s;
-        row.baseline = "scene";
-        row.speedup = median(&whole.times) / median(&answer.times);
-        let counts = coarse.iter().map(|level| level.triangles.len()).collect::<Vec<_>>();
-        row.counters["level_triangles"] = json!(counts);
-        row.counters["level_errors"] = json!(coarse.iter().map(|level| level.error).collect::<Vec<_>>());
-        output.row(&row)?;
-        if let Some(folder) = &options.images {
-            let file = format!("figure7-{}-{mode}", case.name);
-            picture.save(folder, &file, answer.ao.iter().map(|&ao| f64::from(ao)))?;
+    for (sides, side_name) in SIDES {
+        let mask_options = MaskOptions::default().with_radius(radius).with_sides(sides);
+        let whole = picture.rasterize(case, &tables, &levels[..1], &mask_options, &raster, passes)?;
+        let detailed = picture.rasterize(case, &tables, &levels, &mask_options, &raster, passes)?;
+        for (mode, answer, build_s) in [("scene", &whole, 0.0), ("levels", &detailed, levels_s)] {
+            let params = json!({
+                "part": "figure7", "rays": 128, "radius": name, "sides": side_name, "mode": mode,
+            });
+            let mut row = picture::row(case, &picture, &pattern, answer, params);
+            let differences = picture.differences(case, &pattern, &mask_options, &answer.ao);
+            measure::put_differences(&mut row.counters, &differences);
+            row.build_s = build_s;
+            row.baseline = "scene";
+            row.speedup = median(&whole.times) / median(&answer.times);
+            let counts = coarse.iter().map(|level| level.triangles.len()).collect::<Vec<_>>();
+            row.counters["level_triangles"] = json!(counts);
+            row.counters["level_errors"] = json!(coarse.iter().map(|level| level.error).collect::<Vec<_>>());
+            output.row(&row)?;
+            if let Some(folder) = &options.images {
+                let file = format!("figure7-{side_name}-{}-{mode}", case.name);
+                picture.save(folder, &file, answer.ao.iter().map(|&ao| f64::from(ao)))?;
+            }
         }
     }
     Ok(())

@@ -1,6 +1,6 @@
 //! Passes of all methods over one workload, and their rows.
 
-use super::{Case, methods::Tables, picture::Picture, workload::Workload};
+use super::{Case, fronts, methods::Tables, picture::Picture, workload::Workload};
 use crate::{
     entry::{Entry, OnThreads},
     rows::{Output, Row, Timed, alternate, median, paired_speedup},
@@ -8,7 +8,7 @@ use crate::{
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::time::Instant;
-use umbrage_aomask::{MaskOptions, NodeMasks, Pattern};
+use umbrage_aomask::{MaskOptions, NodeMasks, Pattern, Sides};
 use umbrage_geom::Ray;
 
 /// Passes that pick the fastest entry of each method.
@@ -21,23 +21,38 @@ pub struct Measured<'e, A> {
     pub answers: Vec<A>,
 }
 
-/// Rows of all methods against `rays`, and of the mask methods against each peer. `extra` gives more counters by method.
+/// Rows of all methods against `rays`, which are returned, and of the mask methods against each peer. `extra` gives more
+/// counters of a row.
 pub fn rows(
     case: &Case,
     workload: &Workload,
     passes: usize,
     output: &mut Output,
-    extra: impl Fn(&str) -> Value,
-) -> Result<()> {
+    extra: impl Fn(&Row) -> Value,
+) -> Result<Vec<Row>> {
     let circle = Tables::build(workload, NodeMasks::Circle, &case.one)?;
     let silhouette = Tables::build(workload, NodeMasks::Silhouette, &case.one)?;
-    let mut entries = case.ours.any_hit(&workload.rays);
+    let (mut entries, theirs) = single_rays(case, workload)?;
     for tables in [&circle, &silhouette] {
         entries.push(tables.entry(case, workload)?);
     }
     entries.extend(super::exact::entries(case, workload)?);
-    entries.extend(case.peers.iter().flat_map(|peer| peer.any_hit(&workload.rays)));
+    entries.extend(theirs);
     rows_of(entries, case, workload, passes, output, extra)
+}
+
+/// Entries that answer rays one by one or as batches, where both sides of triangles block or fronts only.
+type Entries<'a> = Vec<Box<dyn Entry<bool> + 'a>>;
+
+/// Our own single rays, and those of peers.
+pub fn single_rays<'a>(case: &'a Case, workload: &'a Workload) -> Result<(Entries<'a>, Entries<'a>)> {
+    let rays = &workload.rays[..];
+    if workload.options.sides == Sides::Both {
+        let theirs = case.peers.iter().flat_map(|peer| peer.any_hit(rays)).collect();
+        return Ok((case.ours.any_hit(rays), theirs));
+    }
+    let theirs: Vec<Entries> = case.peers.iter().map(|peer| peer.front_hit(rays)).collect::<Result<_>>()?;
+    Ok((fronts::entries(&case.ours, rays), theirs.into_iter().flatten().collect()))
 }
 
 /// Rows of the fastest of `entries` of each method.
@@ -47,13 +62,15 @@ pub fn rows_of(
     workload: &Workload,
     passes: usize,
     output: &mut Output,
-    extra: impl Fn(&str) -> Value,
-) -> Result<()> {
+    extra: impl Fn(&Row) -> Value,
+) -> Result<Vec<Row>> {
     let best = of_fastest(entries, passes);
     let of_method = |name: &str| best.iter().find(|m| m.entry.method() == name);
     let rays = of_method("rays").expect("always measured");
+    let mut rows = Vec::new();
     for method in &best {
-        let row = row(case, workload, method, rays, &extra);
+        let mut row = row(case, workload, method, rays);
+        add_counters(&mut row, &extra);
         output.row(&row)?;
         for peer in &case.peers {
             if let Some(theirs) = of_method(peer.name()).filter(|_| row.method.starts_with("mask")) {
@@ -63,17 +80,12 @@ pub fn rows_of(
                 output.row(&row)?;
             }
         }
+        rows.push(row);
     }
-    Ok(())
+    Ok(rows)
 }
 
-fn row(
-    case: &Case,
-    workload: &Workload,
-    method: &Measured<bool>,
-    rays: &Measured<bool>,
-    extra: &impl Fn(&str) -> Value,
-) -> Row {
+fn row(case: &Case, workload: &Workload, method: &Measured<bool>, rays: &Measured<bool>) -> Row {
     let count = workload.rays.len();
     let per_receiver = workload.pattern.len();
     let name = method.entry.method();
@@ -83,14 +95,10 @@ fn row(
     let different = method.answers.iter().zip(&rays.answers).filter(|(a, b)| a != b).count();
     // The table method is approximate by design; its bits are an error, not a failure.
     counters[if name == "mask-table" { "approximate_bits" } else { "different_bits" }] = json!(different);
-    let errors: Vec<f64> =
-        ao(&method.answers, per_receiver).zip(ao(&rays.answers, per_receiver)).map(|(a, b)| a - b).collect();
-    let mean = |f: fn(f64) -> f64| errors.iter().map(|&e| f(e)).sum::<f64>() / errors.len() as f64;
-    counters["mean_abs_error"] = json!(mean(f64::abs));
-    counters["mean_ao"] = json!(ao(&rays.answers, per_receiver).sum::<f64>() / errors.len() as f64);
-    if let Some(map) = extra(name).as_object() {
-        map.iter().for_each(|(key, value)| counters[key] = value.clone());
-    }
+    let exact: Vec<f64> = ao(&rays.answers, per_receiver).collect();
+    let differences: Vec<f64> = ao(&method.answers, per_receiver).zip(&exact).map(|(a, b)| a - b).collect();
+    put_differences(&mut counters, &differences);
+    counters["mean_ao"] = json!(exact.iter().sum::<f64>() / exact.len() as f64);
     let time_s = median(&method.times);
     let mut params = workload.params.clone();
     params["mode"] = json!(method.entry.mode());
@@ -102,13 +110,29 @@ fn row(
         time_s,
         build_s: method.entry.build_s(),
         mrays_s: count as f64 / time_s * 1e-6,
-        rmse: mean(|e| e * e).sqrt(),
-        bias: mean(|e| e),
+        rmse: f64::NAN,
+        bias: f64::NAN,
         bytes: method.entry.bytes(),
         counters,
         baseline: "rays",
         speedup: paired_speedup(&rays.times, &method.times),
     }
+}
+
+/// Puts into counters how far answers are from those of the same rays cast one by one: agreement, not error.
+pub fn put_differences(counters: &mut Value, differences: &[f64]) {
+    let count = differences.len().max(1) as f64;
+    let mean = |f: fn(f64) -> f64| differences.iter().map(|&e| f(e)).sum::<f64>() / count;
+    counters["mean_abs_difference_from_rays"] = json!(mean(f64::abs));
+    counters["rms_difference_from_rays"] = json!(mean(|e| e * e).sqrt());
+    counters["mean_difference_from_rays"] = json!(mean(|e| e));
+    counters["receivers_compared"] = json!(differences.len());
+}
+
+/// Adds to the counters of a row what `extra` says of it.
+pub fn add_counters(row: &mut Row, extra: &impl Fn(&Row) -> Value) {
+    let more = extra(row);
+    more.as_object().into_iter().flatten().for_each(|(key, value)| row.counters[key] = value.clone());
 }
 
 /// Ambient occlusion (1 is open) of each receiver.
@@ -165,6 +189,14 @@ pub fn rays_per_second(
         receivers.take(most).flat_map(|receiver| pattern.rays_of(&receiver, options.radius)).collect();
     let mut hits = vec![false; rays.len()];
     let start = Instant::now();
-    case.ours.bvh().any_hits_with(&rays, &mut hits, &mut ());
+    cast(case, &rays, options.sides, &mut hits);
     rays.len() as f64 / start.elapsed().as_secs_f64()
+}
+
+/// Casts rays one by one, those of one origin as a batch.
+pub fn cast(case: &Case, rays: &[Ray], sides: Sides, hits: &mut [bool]) {
+    match sides {
+        Sides::Both => case.ours.bvh().any_hits_with(rays, hits, &mut ()),
+        Sides::Front | Sides::FrontFirst => fronts::front_hits(case.ours.bvh(), rays, hits),
+    }
 }

@@ -9,6 +9,7 @@ mod camera;
 mod exact;
 mod fans;
 mod figures;
+mod fronts;
 mod measure;
 mod methods;
 mod picture;
@@ -22,11 +23,12 @@ use crate::{
     scenes,
 };
 use anyhow::{Result, bail};
+use picture::Picture;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use umbrage_accel::BuildQuality;
-use umbrage_aomask::{Pattern, PatternOptions};
+use umbrage_aomask::{Pattern, PatternOptions, Sides};
 use umbrage_geom::TriangleMesh;
 use workload::{Source, Workload};
 
@@ -42,6 +44,8 @@ pub struct Options {
     pub part: Option<String>,
     /// Where to write the pictures of figures 5 and 7.
     pub images: Option<PathBuf>,
+    /// Where to write the plots of figure 6.
+    pub plots: Option<PathBuf>,
 }
 
 /// Parts of the suite.
@@ -85,6 +89,8 @@ const TABLE1: [Table1; 3] = [
         mrays_s: [[[128.0, 795.0, 52.0], [112.0, 1320.0, 43.0]], [[32.0, 145.0, 27.0], [36.0, 156.0, 23.0]]],
     },
 ];
+/// Which sides of triangles block, the published ones first, and what rows call them.
+const SIDES: [(Sides, &str); 2] = [(Sides::Front, "front"), (Sides::Both, "both")];
 /// Order of methods in [`Table1::mrays_s`].
 const TABLE1_METHODS: [&str; 3] = ["mask-raster", "mask-table", "rays"];
 
@@ -136,7 +142,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
             }
         }
     }
-    output.geomeans(&["part", "rays", "alpha"])
+    output.geomeans(&["part", "rays", "alpha", "sides"])
 }
 
 impl Case {
@@ -179,31 +185,30 @@ fn exact(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     Ok(())
 }
 
-/// `[Laine10]`, table 1: what a camera sees, two radii, 128 and 1024 rays.
+/// `[Laine10]`, table 1: what a camera sees, two radii, 128 and 1024 rays; triangles one-sided as published, then two-sided.
 fn table1(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let Some(table) = TABLE1.iter().find(|table| table.scene == case.name) else { return Ok(()) };
     let unit = if case.name == "sibenik" { 1.0 } else { f64::from(case.mesh.bounds().diagonal()) };
-    for (radius, paper) in table.radii.iter().zip(table.mrays_s) {
-        for (rays, paper) in [128, 1024].into_iter().zip(paper) {
-            let pattern = Pattern::new(&PatternOptions::default().with_rays(rays))?;
-            let params = json!({ "part": "table1", "rays": rays, "radius": radius });
-            let points = workload::seen(case, rays, options.quick);
-            let workload = Workload::new(points, &pattern, (radius * unit) as f32, params);
-            let figures = |method: &str| -> Value {
-                let known = TABLE1_METHODS.iter().position(|&m| m == method);
-                known.map_or(json!({}), |i| json!({ "paper_mrays_s": paper[i] }))
-            };
-            measure::rows(case, &workload, passes(options), output, figures)?;
-            let params = json!({ "part": "table1", "rays": rays, "radius": radius });
-            picture::table1_row(
-                case,
-                &pattern,
-                (radius * unit) as f32,
-                options,
-                params,
-                figures("mask-raster"),
-                output,
-            )?;
+    for (sides, side_name) in SIDES {
+        for (radius, paper) in table.radii.iter().zip(table.mrays_s) {
+            for (rays, paper) in [128, 1024].into_iter().zip(paper) {
+                let pattern = Pattern::new(&PatternOptions::default().with_rays(rays))?;
+                let params = json!({ "part": "table1", "rays": rays, "radius": radius, "sides": side_name });
+                let points = workload::seen(case, &camera::views(case), rays, options.quick);
+                let length = (radius * unit) as f32;
+                let workload = Workload::new(points, &pattern, length, params.clone()).with_sides(sides);
+                let figures = |method: &str| -> Value {
+                    let known = TABLE1_METHODS.iter().position(|&m| m == method);
+                    known.map_or(json!({}), |i| json!({ "paper_mrays_s": paper[i] }))
+                };
+                measure::rows(case, &workload, passes(options), output, |row| figures(&row.method))?;
+                let picture = Picture::new(case, options.quick);
+                let (tables, passes) = (picture::tables(case, &pattern)?, picture_passes(options));
+                let mut row =
+                    picture::raster_row(case, &picture, &tables, &workload.options, passes, params)?;
+                measure::add_counters(&mut row, &|row| figures(&row.method));
+                output.row(&row)?;
+            }
         }
     }
     Ok(())

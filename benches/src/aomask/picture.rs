@@ -1,7 +1,7 @@
 //! Whole images of receivers: what rasterization answers, and its rows.
 
-use super::{Case, Options, camera, measure, picture_passes};
-use crate::rows::{Output, Row, median};
+use super::{Case, camera, measure};
+use crate::rows::{Row, median};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::{path::Path, time::Instant};
@@ -84,12 +84,12 @@ impl Picture {
         let receiver = self.receiver(i, options)?;
         let rays: Vec<_> = pattern.rays_of(&receiver, options.radius).collect();
         let mut hits = vec![false; rays.len()];
-        case.ours.bvh().any_hits_with(&rays, &mut hits, &mut ());
+        measure::cast(case, &rays, options.sides, &mut hits);
         Some(hits.iter().filter(|&&hit| !hit).count() as f64 / hits.len() as f64)
     }
 
-    /// Errors of every [`STRIDE`]-th pixel.
-    pub fn errors(&self, case: &Case, pattern: &Pattern, options: &MaskOptions, ao: &[f32]) -> Vec<f64> {
+    /// Differences from exact rays of every [`STRIDE`]-th pixel.
+    pub fn differences(&self, case: &Case, pattern: &Pattern, options: &MaskOptions, ao: &[f32]) -> Vec<f64> {
         (0..ao.len())
             .step_by(STRIDE)
             .filter_map(|i| Some(f64::from(ao[i]) - self.exact(case, pattern, options, i)?))
@@ -129,8 +129,8 @@ pub fn row(case: &Case, picture: &Picture, pattern: &Pattern, answer: &Answer, p
         time_s,
         build_s: 0.0,
         mrays_s: (picture.seen * pattern.len()) as f64 / time_s * 1e-6,
-        rmse: 0.0,
-        bias: 0.0,
+        rmse: f64::NAN,
+        bias: f64::NAN,
         bytes: 0,
         counters: json!({
             "receivers": picture.seen,
@@ -146,46 +146,32 @@ pub fn row(case: &Case, picture: &Picture, pattern: &Pattern, answer: &Answer, p
     }
 }
 
-/// Puts errors against exact rays into a row.
-pub fn put_errors(row: &mut Row, errors: &[f64]) {
-    let mean = |f: fn(f64) -> f64| errors.iter().map(|&e| f(e)).sum::<f64>() / errors.len().max(1) as f64;
-    (row.rmse, row.bias) = (mean(|e| e * e).sqrt(), mean(|e| e));
-    row.counters["mean_abs_error"] = json!(mean(f64::abs));
-    row.counters["errors_checked"] = json!(errors.len());
-}
-
-/// The row of table 1 for `mask-raster`. Its speedup is against the rate of `rays` on every [`STRIDE`]-th receiver of the
+/// A row of `mask-raster` on a whole picture. Its speedup is against the rate of `rays` on every [`STRIDE`]-th receiver of the
 /// same image, in turn with it.
-pub fn table1_row(
+pub fn raster_row(
     case: &Case,
-    pattern: &Pattern,
-    radius: f32,
-    options: &Options,
+    picture: &Picture,
+    tables: &MaskTables,
+    mask_options: &MaskOptions,
+    passes: usize,
     params: Value,
-    extra: Value,
-    output: &mut Output,
-) -> Result<()> {
-    let picture = Picture::new(case, options.quick);
-    let tables = tables(case, pattern)?;
-    let mask_options = MaskOptions::default().with_radius(radius);
+) -> Result<Row> {
+    let pattern = tables.pattern();
     let (mut answer, mut ratios) = (None, Vec::new());
-    let passes = picture_passes(options);
     let mut times = Vec::new();
     for _ in 0..passes {
         let raster = RasterOptions::default();
-        let done = picture.rasterize(case, &tables, &[scene_level(case)], &mask_options, &raster, 1)?;
+        let done = picture.rasterize(case, tables, &[scene_level(case)], mask_options, &raster, 1)?;
         let ours = (picture.seen * pattern.len()) as f64 / done.times[0];
-        ratios.push(ours / measure::rays_per_second(case, &picture, pattern, &mask_options, STRIDE));
+        ratios.push(ours / measure::rays_per_second(case, picture, pattern, mask_options, STRIDE));
         times.extend(&done.times);
         answer = Some(done);
     }
-    let Some(answer) = answer.map(|answer| Answer { times, ..answer }) else { return Ok(()) };
-    let mut row = row(case, &picture, pattern, &answer, params);
+    let answer = answer.map(|answer| Answer { times, ..answer }).context("at least one pass")?;
+    let mut row = row(case, picture, pattern, &answer, params);
     row.speedup = median(&ratios);
     row.bytes = tables.bytes();
-    put_errors(&mut row, &picture.errors(case, pattern, &mask_options, &answer.ao));
-    for (key, value) in extra.as_object().into_iter().flatten() {
-        row.counters[key] = value.clone();
-    }
-    output.row(&row)
+    let differences = picture.differences(case, pattern, mask_options, &answer.ao);
+    measure::put_differences(&mut row.counters, &differences);
+    Ok(row)
 }

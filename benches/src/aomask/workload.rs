@@ -1,11 +1,11 @@
 //! Scenes, receivers and their rays.
 
-use super::Case;
+use super::{Case, camera::View};
 use crate::scenes::{self, Receivers};
 use anyhow::Result;
 use serde_json::Value;
 use std::path::PathBuf;
-use umbrage_aomask::{MaskOptions, Pattern, Receiver};
+use umbrage_aomask::{MaskOptions, Pattern, Receiver, Sides};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3, morton, offset_origin, sampling::combine};
 
 /// Receivers that stay together: neighbours, as in a bake of the whole scene.
@@ -72,6 +72,11 @@ impl Workload {
         }
         Self { points, normals, pattern: pattern.clone(), options, rays, params }
     }
+
+    /// The same where `sides` of triangles block.
+    pub fn with_sides(self, sides: Sides) -> Self {
+        Self { options: self.options.with_sides(sides), ..self }
+    }
 }
 
 /// Receivers for about a quarter of a million rays, half as many in the quick form.
@@ -89,10 +94,10 @@ pub fn surface_of(mesh: &TriangleMesh, count: usize) -> Receivers {
     thin(scenes::receivers(mesh, WHOLE, 1), count)
 }
 
-/// Runs of neighbours out of what three cameras see at 512 x 384.
-pub fn seen(case: &Case, rays: u32, quick: bool) -> Receivers {
+/// Runs of neighbours out of what `cameras` see.
+pub fn seen(case: &Case, cameras: &[View], rays: u32, quick: bool) -> Receivers {
     let mut all = Receivers { points: Vec::new(), normals: Vec::new() };
-    for camera in super::camera::views(case) {
+    for camera in cameras {
         let (points, normals) = camera.surfaces(case);
         all.points.extend(points);
         all.normals.extend(normals);

@@ -34,7 +34,8 @@ struct FilterArguments {
     geometry_user: *mut c_void,
     context: *mut Context,
     ray: *const c_uint,
-    hit: *const c_void,
+    /// Components of `RTCHit`, the geometric normal first, each of all lanes.
+    hit: *const f32,
     lanes: c_uint,
 }
 
@@ -136,6 +137,8 @@ pub struct PacketHit<const N: usize> {
 
 /// Index of a ray's `id` among its twelve components, in single rays and packets alike.
 const ID: usize = offset_of!(Single, id) / 4;
+/// The same of the first coordinate of its direction; the other two follow.
+const DIRECTION: usize = offset_of!(Single, direction) / 4;
 const _: () = assert!(size_of::<Single>() == 48 && offset_of!(Packet<8>, id) == ID * 8 * 4);
 const _: () = assert!(size_of::<Packet<8>>() == 48 * 8 && size_of::<Packet<16>>() == 48 * 16);
 const _: () = assert!(size_of::<SingleHit>() == 80 && offset_of!(SingleHit, hit) == 48);
@@ -555,12 +558,36 @@ impl<'a> Query<'a> {
         }
     }
 
+    /// Stops at the first occluder whose front the ray meets. Scenes need [`Feature::Filter`].
+    pub fn front_hit(coherent: bool) -> Self {
+        let mut query = Self::any_hit(coherent);
+        query.context.filter = Some(let_backs_pass);
+        query
+    }
+
     /// Adds `opacity` to the depth that a ray's `id` points to, for every report of a triangle, until it is opaque. Scenes
     /// need [`Feature::Filter`].
     pub fn transmittance(coherent: bool, depths: &'a mut [OpticalDepth], opacity: OpticalDepth) -> Self {
         let mut query = Self::plain(coherent);
         query.context.filter = Some(add_depth);
         Self { depths: depths.as_mut_ptr(), count: depths.len(), opacity, ..query }
+    }
+}
+
+unsafe extern "C" fn let_backs_pass(arguments: *const FilterArguments) {
+    // SAFETY: Embree passes a live structure; rays and hits have all their components for as many lanes as stated.
+    unsafe {
+        let arguments = &*arguments;
+        let lanes = arguments.lanes as usize;
+        let rays = arguments.ray.cast::<f32>();
+        for lane in (0..lanes).filter(|&lane| *arguments.valid.add(lane) == -1) {
+            let along = |axis: usize| {
+                *rays.add((DIRECTION + axis) * lanes + lane) * *arguments.hit.add(axis * lanes + lane)
+            };
+            if along(0) + along(1) + along(2) >= 0.0 {
+                *arguments.valid.add(lane) = 0;
+            }
+        }
     }
 }
 

@@ -12,7 +12,11 @@ use crate::{
 };
 use anyhow::Result;
 use rayon::{ThreadPool, prelude::*};
-use std::{cell::RefCell, time::Instant};
+use std::{
+    cell::{OnceCell, RefCell},
+    sync::Arc,
+    time::Instant,
+};
 use umbrage_geom::{OpticalDepth, Ray, TriangleMesh};
 
 struct Built {
@@ -28,6 +32,10 @@ pub struct Embree {
     robust: Built,
     /// Medium quality, since spatial splits would report a triangle more than once.
     filtered: Built,
+    /// High quality with filters, for which more than one report does no harm; built when it is asked for.
+    fronts: OnceCell<Built>,
+    device: Arc<Device>,
+    buffers: Arc<Buffers>,
     scratch: RefCell<Scratch>,
 }
 
@@ -47,18 +55,25 @@ impl Embree {
     pub fn new(mesh: &TriangleMesh) -> Result<Self> {
         let device = Device::new()?;
         let buffers = Buffers::new(&mesh.positions, &mesh.triangles);
-        let build = |quality, feature| -> Result<Built> {
-            let start = Instant::now();
-            let scene = Scene::build(&device, &buffers, quality, feature)?;
-            Ok(Built { scene, quality, build_s: start.elapsed().as_secs_f64() })
-        };
+        let build = |quality, feature| Built::new(&device, &buffers, quality, feature);
         Ok(Self {
             high: build(Quality::High, Feature::None)?,
             medium: build(Quality::Medium, Feature::None)?,
             robust: build(Quality::High, Feature::Robust)?,
             filtered: build(Quality::Medium, Feature::Filter)?,
+            fronts: OnceCell::new(),
+            device,
+            buffers,
             scratch: RefCell::default(),
         })
+    }
+}
+
+impl Built {
+    fn new(device: &Arc<Device>, buffers: &Arc<Buffers>, quality: Quality, feature: Feature) -> Result<Self> {
+        let start = Instant::now();
+        let scene = Scene::build(device, buffers, quality, feature)?;
+        Ok(Self { scene, quality, build_s: start.elapsed().as_secs_f64() })
     }
 }
 
@@ -85,13 +100,41 @@ impl Peer for Embree {
             for call in Call::ALL {
                 for coherent in [false, true] {
                     if !coherent || coherent_too {
-                        let scratch = &self.scratch;
-                        entries.push(Box::new(Occluded { method, built, call, coherent, rays, scratch }));
+                        let (scratch, fronts) = (&self.scratch, false);
+                        entries.push(Box::new(Occluded {
+                            method,
+                            built,
+                            call,
+                            coherent,
+                            fronts,
+                            rays,
+                            scratch,
+                        }));
                     }
                 }
             }
         }
         entries
+    }
+
+    fn front_hit<'a>(&'a self, rays: &'a [Ray]) -> Result<Vec<Box<dyn Entry<bool> + 'a>>> {
+        let high = match self.fronts.get() {
+            Some(built) => built,
+            None => {
+                let built = Built::new(&self.device, &self.buffers, Quality::High, Feature::Filter)?;
+                self.fronts.get_or_init(|| built)
+            }
+        };
+        let mut entries: Vec<Box<dyn Entry<bool> + 'a>> = Vec::new();
+        for built in [high, &self.filtered] {
+            for call in Call::ALL {
+                let (method, scratch) = ("embree", &self.scratch);
+                // Incoherent only, as below.
+                let (coherent, fronts) = (false, true);
+                entries.push(Box::new(Occluded { method, built, call, coherent, fronts, rays, scratch }));
+            }
+        }
+        Ok(entries)
     }
 
     fn transmittance<'a>(
@@ -104,7 +147,8 @@ impl Peer for Embree {
             .into_iter()
             .map(|call| {
                 let (method, built, scratch) = ("embree", &self.filtered, &self.scratch);
-                let inner = Occluded { method, built, call, coherent: false, rays, scratch };
+                let (coherent, fronts) = (false, false);
+                let inner = Occluded { method, built, call, coherent, fronts, rays, scratch };
                 let depths = vec![OpticalDepth::CLEAR; rays.len()];
                 Box::new(Filtered { inner, depths, opacity }) as Box<dyn Entry<OpticalDepth> + 'a>
             })
@@ -130,8 +174,15 @@ struct Occluded<'a> {
     built: &'a Built,
     call: Call,
     coherent: bool,
+    /// Whether rays pass through the backs of triangles.
+    fronts: bool,
     rays: &'a [Ray],
     scratch: &'a RefCell<Scratch>,
+}
+
+/// What a call asks.
+fn query(coherent: bool, fronts: bool) -> Query<'static> {
+    if fronts { Query::front_hit(coherent) } else { Query::any_hit(coherent) }
 }
 
 impl Entry<bool> for Occluded<'_> {
@@ -150,7 +201,8 @@ impl Entry<bool> for Occluded<'_> {
             Quality::High => "high",
             Quality::Medium => "medium",
         };
-        format!("occluded{call}-{quality}-{}", if self.coherent { "coherent" } else { "incoherent" })
+        let coherence = if self.coherent { "coherent" } else { "incoherent" };
+        format!("occluded{call}-{quality}-{coherence}{}", if self.fronts { "-fronts" } else { "" })
     }
 
     fn build_s(&self) -> f64 {
@@ -175,19 +227,19 @@ impl Entry<bool> for Occluded<'_> {
 
     fn run(&mut self, pool: Option<&ThreadPool>) {
         let scratch = &mut *self.scratch.borrow_mut();
-        let (scene, coherent) = (&self.built.scene, self.coherent);
+        let (scene, coherent, fronts) = (&self.built.scene, self.coherent, self.fronts);
         match self.call {
             Call::Single => in_chunks(pool, &mut scratch.singles, 1, |rays| {
-                scene.occluded1(&mut Query::plain(coherent), rays);
+                scene.occluded1(&mut query(coherent, fronts), rays);
             }),
             Call::Stream => in_chunks(pool, &mut scratch.singles, 1, |rays| {
-                scene.occluded_stream(&mut Query::plain(coherent), rays);
+                scene.occluded_stream(&mut query(coherent, fronts), rays);
             }),
             Call::Packet8 => in_chunks(pool, &mut scratch.packets8, 8, |packets| {
-                scene.occluded8(&mut Query::plain(coherent), packets);
+                scene.occluded8(&mut query(coherent, fronts), packets);
             }),
             Call::Packet16 => in_chunks(pool, &mut scratch.packets16, 16, |packets| {
-                scene.occluded16(&mut Query::plain(coherent), packets);
+                scene.occluded16(&mut query(coherent, fronts), packets);
             }),
         }
     }

@@ -37,6 +37,25 @@ fn every_call_finds_the_occluders() {
 }
 
 #[test]
+fn backs_let_rays_pass() {
+    let (mesh, rays, crossings) = case();
+    // All rays come from behind; those turned around, from the front.
+    let turned: Vec<Ray> = rays
+        .iter()
+        .map(|ray| Ray::new(ray.origin + ray.direction * ray.tfar, -ray.direction).with_tfar(ray.tfar))
+        .collect();
+    let embree = Embree::new(&mesh).expect("Embree is installed");
+    for (rays, blocked) in [(&rays, false), (&turned, true)] {
+        for mut entry in embree.front_hit(rays).expect("a third build") {
+            entry.prepare();
+            entry.run(None);
+            let expected: Vec<bool> = crossings.iter().map(|&n| blocked && n > 0).collect();
+            assert_eq!(entry.answers(), expected, "{}", entry.mode());
+        }
+    }
+}
+
+#[test]
 fn filters_count_each_triangle_once() {
     let (mesh, rays, crossings) = case();
     let embree = Embree::new(&mesh).expect("Embree is installed");

@@ -15,6 +15,9 @@ use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query
 /// Rays of the exact answers that errors refer to.
 const REFERENCE: u32 = 576;
 
+/// Receivers from one to the next whose exact answer is found twice, to know its own error.
+const CHECKED: usize = 32;
+
 /// What is asked of a scene.
 #[derive(Clone, Copy)]
 pub enum Workload {
@@ -93,6 +96,10 @@ pub struct Case {
     pub receivers: Vec<Receiver>,
     /// Exact visibility of each receiver.
     pub truth: Vec<f64>,
+    /// Root mean square of the sampling error of [`Self::truth`].
+    pub reference_rmse: f64,
+    /// Pixels across; three quarters of it are the height.
+    width: u32,
     light: [Vec3; 3],
     radius: f32,
 }
@@ -129,8 +136,25 @@ impl Case {
     /// The scene with about `triangles` triangles, seen by an image of `width` x 3/4 `width` pixels.
     pub fn new(source: Source, mesh: TriangleMesh, width: u32) -> Result<Self> {
         let mut case = Self::seen(source, mesh, width)?;
-        case.truth = case.exact_truth();
+        case.refer();
         Ok(case)
+    }
+
+    /// The same scene seen by an image of another width.
+    pub fn resize(&mut self, width: u32) {
+        self.look(width);
+        self.refer();
+    }
+
+    /// Width and height of the image.
+    pub fn pixels(&self) -> [u32; 2] {
+        [self.width, self.width * 3 / 4]
+    }
+
+    /// The same for people.
+    pub fn size(&self) -> String {
+        let [width, height] = self.pixels();
+        format!("{width} x {height}")
     }
 
     /// The same without the exact answers.
@@ -161,10 +185,22 @@ impl Case {
         ];
         let radius =
             if let Workload::Ambient(radius) = source.workload { radius * size } else { f32::INFINITY };
-        let (receivers, truth) = (Vec::new(), Vec::new());
-        let mut case =
-            Self { source, mesh, opacity, depths, bvh, bvh_build_s, receivers, truth, light, radius };
-        case.look(width, own, middle);
+        let (receivers, truth, reference_rmse) = (Vec::new(), Vec::new(), 0.0);
+        let mut case = Self {
+            source,
+            mesh,
+            opacity,
+            depths,
+            bvh,
+            bvh_build_s,
+            receivers,
+            truth,
+            reference_rmse,
+            width,
+            light,
+            radius,
+        };
+        case.look(width);
         Ok(case)
     }
 
@@ -190,8 +226,14 @@ impl Case {
         Self::new(source, generated(source.generator, triangles)?, width)
     }
 
-    /// Finds what the camera sees; pixels in tiles, so that neighbours follow each other.
-    fn look(&mut self, width: u32, own: usize, light: Vec3) {
+    /// Finds what a camera of `width` pixels across sees; pixels in tiles, so that neighbours follow each other.
+    fn look(&mut self, width: u32) {
+        self.width = width;
+        self.receivers.clear();
+        // The ground is the last two triangles.
+        let own = self.mesh.triangles.len() - 2;
+        let [corner, u, v] = self.light;
+        let light = corner + 0.5 * (u + v);
         let bounds = self.mesh.bounds();
         let (low, own_bounds) = (
             bounds.min.y,
@@ -204,7 +246,7 @@ impl Case {
         let eye = target - forward * size * self.source.distance;
         let right = forward.cross(Vec3::Y).normalize();
         let up = right.cross(forward);
-        let height = width * 3 / 4;
+        let [_, height] = self.pixels();
         for tile in 0..(width / 8) * (height / 8) {
             for i in 0..64 {
                 let (x, y) = (tile % (width / 8) * 8 + i % 8, tile / (width / 8) * 8 + i / 8);
@@ -290,13 +332,25 @@ impl Case {
         passed.iter_mut().zip(&scratch.1).for_each(|(out, depth)| *out = depth.transmittance());
     }
 
-    fn exact_truth(&self) -> Vec<f64> {
+    /// Finds the exact visibility of all receivers, and its own error by that of some receivers once more with other rays.
+    fn refer(&mut self) {
+        let all: Vec<usize> = (0..self.receivers.len()).collect();
+        self.truth = self.visibility(&all, 77);
+        let checked: Vec<usize> = all.into_iter().step_by(CHECKED).collect();
+        let again = self.visibility(&checked, 78);
+        let squares: f64 = checked.iter().zip(&again).map(|(&i, x)| (self.truth[i] - x).powi(2)).sum();
+        // Both have the same error, independently.
+        self.reference_rmse = (0.5 * squares / checked.len().max(1) as f64).sqrt();
+    }
+
+    /// Visibility of `receivers` by [`REFERENCE`] exact rays each.
+    fn visibility(&self, receivers: &[usize], seed: u32) -> Vec<f64> {
         use rayon::prelude::*;
-        (0..self.receivers.len())
-            .into_par_iter()
-            .map_init(Default::default, |scratch, i| {
+        receivers
+            .par_iter()
+            .map_init(Default::default, |scratch, &i| {
                 let mut cones = Vec::new();
-                self.fan(i, REFERENCE, 77, &mut cones);
+                self.fan(i, REFERENCE, seed, &mut cones);
                 let rays: Vec<Ray> = cones.iter().map(|c| c.ray).collect();
                 let mut passed = vec![0.0; rays.len()];
                 self.exact(&rays, &mut passed, scratch);

@@ -31,13 +31,16 @@ pub struct Options {
 }
 
 /// Parts of the suite, in order.
-pub const PARTS: [&str; 12] = [
-    "targets", "fig1", "tables", "fig4", "fig5", "fig6", "fig9", "fig10", "bias", "refit", "control",
-    "forest",
+pub const PARTS: [&str; 13] = [
+    "targets", "fig1", "rules", "tables", "fig4", "fig5", "fig6", "fig9", "fig10", "bias", "refit",
+    "control", "forest",
 ];
 
 /// Most triangles in the quick form.
 const QUICK_TRIANGLES: usize = 300_000;
+
+/// Pixels across of the images of figures 1, 4, 6, 7 and 8.
+const FIGURE_WIDTH: u32 = 256;
 
 /// Runs the suite.
 ///
@@ -53,28 +56,40 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     let plots = options.plots.as_deref();
     let named = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     let (width, passes) = if options.quick { (48, 3) } else { (64, 5) };
-    let with_scenes =
-        ["targets", "fig1", "tables", "fig4", "fig5", "fig6", "fig10", "bias", "refit", "control"];
-    if with_scenes.iter().any(|part| wants(part)) {
+    let (figure_width, figure_passes) = if options.quick { (96, 2) } else { (FIGURE_WIDTH, 3) };
+    let by_size = [
+        &["targets", "fig1"][..],
+        &["rules", "tables", "fig4", "fig5", "fig6", "fig10", "bias", "refit", "control"],
+    ];
+    let [large, small] = by_size.map(|parts| parts.iter().any(|part| wants(part)));
+    if large || small {
         for source in SOURCES.into_iter().filter(|s| named(s.name)) {
             let triangles =
                 if options.quick { source.triangles.min(QUICK_TRIANGLES) } else { source.triangles };
             note(&format!("{}: {triangles} triangles", source.name));
-            let case = Case::generate(source, triangles, width)?;
+            let mut case = Case::generate(source, triangles, if large { figure_width } else { width })?;
             if wants("targets") {
                 let peers =
                     options.peers.iter().map(|&p| peer::open(p, &case.mesh)).collect::<Result<Vec<_>>>()?;
-                targets::run(&case, &peers, passes, plots, output)?;
+                targets::run(&case, &peers, figure_passes, plots, output)?;
             }
-            let across = if options.quick { 160 } else { 256 };
             if wants("fig1") {
-                showcase::run(&case, across, passes, options.pictures.as_deref(), output)?;
+                showcase::run(&case, figure_passes, options.pictures.as_deref(), output)?;
+            }
+            if !small {
+                continue;
+            }
+            if large {
+                case.resize(width);
+            }
+            if wants("rules") {
+                targets::rules(&case, passes, output)?;
             }
             if wants("tables") {
                 tables::run(&case, output)?;
             }
             if let (true, Some(folder)) = (wants("fig4"), &options.pictures) {
-                pictures::run(&case, across, folder)?;
+                pictures::run(&case, figure_width, folder)?;
             }
             if wants("fig5") && source.name == "bush" {
                 figures::variance(&case, if options.quick { 5_000 } else { 50_000 }, plots, output)?;

@@ -1,7 +1,7 @@
 //! Pictures of figures 1, 7, 8 (few rays, prefiltered rays, many rays), 4 (what rays see of the scene) and 6 (convergence, and the levels at which rays end).
 
 use super::{
-    case::{Case, Kind, Workload},
+    case::{Case, Workload},
     figures::Levels,
 };
 use anyhow::{Context, Result};
@@ -103,22 +103,19 @@ pub fn convergence(case: &Case, width: u32, folder: &Path) -> Result<()> {
     save(&sheet(&[above, below]), folder, &format!("prefilter-levels-{}.png", case.source.name))
 }
 
-/// Visibility by exact and prefiltered rays (`true`), so many a pixel, side by side.
-pub fn panels(case: &Case, width: u32, panels: &[(bool, u32)], folder: &Path) -> Result<()> {
-    let (scene, _) = case.prefiltered(&PrefilterOptions::default())?;
-    let mut row = Vec::new();
-    for &(prefiltered, rays) in panels {
-        let query = if prefiltered { case.query() } else { Query::EXACT };
-        let cones = case.rays(Kind::Whole, rays, 5);
-        let mut passed = vec![0.0; cones.len()];
-        scene.transmittances(&cones, &query, &mut passed);
-        let mut picture = RgbImage::from_pixel(width, width * 3 / 4, Rgb([255; 3]));
-        for (receiver, passed) in case.receivers.iter().zip(passed.chunks(rays as usize)) {
+/// Mean visibilities of all receivers, a picture each, side by side; each receiver has the same number of answers.
+pub fn panels(case: &Case, answers: &[Vec<f32>], folder: &Path) -> Result<()> {
+    let [width, height] = case.pixels();
+    let picture = |passed: &Vec<f32>| {
+        let mut picture = RgbImage::from_pixel(width, height, Rgb([255; 3]));
+        let rays = passed.len() / case.receivers.len().max(1);
+        for (receiver, passed) in case.receivers.iter().zip(passed.chunks(rays.max(1))) {
             let [x, y] = receiver.pixel;
             picture.put_pixel(x, y, grey(passed.iter().sum::<f32>() / passed.len() as f32));
         }
-        row.push(picture);
-    }
+        picture
+    };
+    let row = answers.iter().map(picture).collect();
     save(&sheet(&[row]), folder, &format!("prefilter-equal-{}.png", case.source.name))
 }
 

@@ -3,6 +3,7 @@
 use super::{
     case::{Case, Kind},
     pictures,
+    targets::round,
 };
 use crate::rows::{Output, Row, Timed, alternate, median, paired_speedup};
 use anyhow::Result;
@@ -28,7 +29,7 @@ const FIGURES: [Figure; 3] = [
 const METHODS: [&str; 3] = ["bvh", "prefilter", "bvh"];
 
 /// Rows of the three panels, and, with a folder, the pictures.
-pub fn run(case: &Case, width: u32, passes: usize, folder: Option<&Path>, output: &mut Output) -> Result<()> {
+pub fn run(case: &Case, passes: usize, folder: Option<&Path>, output: &mut Output) -> Result<()> {
     let Some(figure) = FIGURES.iter().find(|f| f.scene == case.source.name) else { return Ok(()) };
     let (scene, build_s) = case.prefiltered(&PrefilterOptions::default())?;
     let query = case.query();
@@ -51,7 +52,8 @@ pub fn run(case: &Case, width: u32, passes: usize, folder: Option<&Path>, output
             method: METHODS[i].into(),
             params: json!({
                 "figure": format!("{} ({panel})", figure.name), "rays": figure.rays[i],
-                "triangles": case.opacity.len(),
+                "triangles": case.opacity.len(), "size": case.size(),
+                "t": (METHODS[i] == "prefilter").then(|| round(query.threshold())),
             }),
             time_s,
             build_s: if i == 1 { build_s } else { case.bvh_build_s },
@@ -62,15 +64,14 @@ pub fn run(case: &Case, width: u32, passes: usize, folder: Option<&Path>, output
             counters: json!({
                 "published_s": figure.seconds[i],
                 "published_speedup": figure.seconds[1] / figure.seconds[i],
+                "reference_rmse": case.reference_rmse,
             }),
             baseline: "prefilter",
             speedup: paired_speedup(&times[1], &times[i]),
         })?;
     }
-    if let Some(folder) = folder {
-        let seen = Case::seen(case.source, case.mesh_alone()?, width)?;
-        let panels = [0, 1, 2].map(|i| (METHODS[i] == "prefilter", figure.rays[i]));
-        pictures::panels(&seen, width, &panels, folder)?;
+    match folder {
+        Some(folder) => pictures::panels(case, &answers, folder),
+        None => Ok(()),
     }
-    Ok(())
 }

@@ -1,4 +1,4 @@
-//! Time to the same error: figures 1, 7 and 8, by kind of receiver.
+//! Time to the same error: figures 1, 7 and 8 by kind of receiver, one threshold a curve; and other rules for who may end rays.
 
 use super::case::{Case, Kind, Workload};
 use crate::{
@@ -20,10 +20,14 @@ const TARGETS: [f64; 4] = [0.05, 0.04, 0.03, 0.02];
 const EXACT_RAYS: [u32; 7] = [1, 4, 9, 16, 32, 64, 128];
 
 /// Rays a receiver of prefiltered ones.
-const RAYS: [u32; 7] = [1, 2, 4, 8, 16, 32, 64];
+const RAYS: [u32; 6] = [2, 4, 8, 16, 32, 64];
 
-/// Attempts to be better than the default: nodes end rays however near they are, or only from twice and four times as far;
-/// every node from the fifth level on, and every node, may end rays, whatever surface it is part of.
+/// Rays a receiver by which the fastest call of a peer is chosen.
+const HEAT_RAYS: u32 = 9;
+
+/// The default threshold, and other rules beside it: nodes end rays however near they are, or only from twice and four times as
+/// far; every node from the fifth level on, and every node, may end rays, whatever surface it is part of.
+const PREFILTER: &str = "prefilter";
 const FAR_2: &str = "prefilter-far-2";
 const FAR_4: &str = "prefilter-far-4";
 const ANY_ANGLE: &str = "prefilter-any-angle";
@@ -40,12 +44,14 @@ enum Way<'a> {
     PeerAlpha(Box<dyn Entry<OpticalDepth> + 'a>),
 }
 
+/// Points of one line of a plot: a method, and of prefiltered ones the index of the only threshold that they share.
+type CurveName = (&'static str, usize);
+
 /// One setting: some rays a receiver, answered in one way.
 struct Point<'a> {
     case: &'a Case,
     kind: Kind,
-    /// Name of the method, and which of its curves.
-    method: (&'static str, usize),
+    method: CurveName,
     rays: u32,
     cones: &'a [ConeRay],
     plain: &'a [Ray],
@@ -89,19 +95,19 @@ impl Timed for Point<'_> {
 
 /// Prefiltered rays with one setting, whatever their number.
 struct Curve<'a> {
-    method: (&'static str, usize),
+    method: CurveName,
     scene: &'a Prefiltered,
     query: Query,
 }
 
 /// The threshold of a method's curve; `None` of exact ones.
-fn threshold(curves: &[Curve<'_>], method: (&str, usize)) -> Option<f32> {
+fn threshold(curves: &[Curve<'_>], method: CurveName) -> Option<f32> {
     curves.iter().find(|c| c.method == method).map(|c| c.query.threshold())
 }
 
 /// Time and error of one setting in each pass.
 struct Measured {
-    method: (&'static str, usize),
+    method: CurveName,
     rays: u32,
     rmse: f64,
     bias: f64,
@@ -110,8 +116,10 @@ struct Measured {
     times: Vec<f64>,
 }
 
-/// Time to reach `target` in pass `pass`, by interpolation between settings of one curve; `None` if it is never reached.
-fn time_to(curve: &[&Measured], target: f64, pass: usize) -> Option<f64> {
+/// Time that the curve `name` takes to reach `target` in pass `pass`, interpolated between its settings; `None` if it never
+/// does.
+fn time_to(all: &[Measured], name: CurveName, target: f64, pass: usize) -> Option<f64> {
+    let curve: Vec<&Measured> = all.iter().filter(|m| m.method == name).collect();
     let first = curve.first()?;
     if first.rmse <= target {
         return Some(first.times[pass]);
@@ -125,17 +133,19 @@ fn time_to(curve: &[&Measured], target: f64, pass: usize) -> Option<f64> {
     })
 }
 
-/// The fastest of a method's curves.
-fn best_time(all: &[Measured], method: &str, target: f64, pass: usize) -> Option<f64> {
-    let curves = all.iter().filter(|m| m.method.0 == method).map(|m| m.method.1).max()?;
-    let times = (0..=curves).filter_map(|curve| {
-        let curve: Vec<&Measured> = all.iter().filter(|m| m.method == (method, curve)).collect();
-        time_to(&curve, target, pass)
-    });
-    times.min_by(f64::total_cmp)
+/// What the rows of a measurement share.
+struct Setting<'a> {
+    case: &'a Case,
+    /// `params.figure` of rows of time to an error.
+    figure: &'static str,
+    kind: Kind,
+    curves: &'a [Curve<'a>],
+    passes: usize,
+    build_s: f64,
+    bytes: usize,
 }
 
-/// Rows of one scene.
+/// Time to an error, one threshold a curve, by kind of receiver.
 pub fn run(
     case: &Case,
     peers: &[Box<dyn Peer>],
@@ -143,66 +153,85 @@ pub fn run(
     plots: Option<&Path>,
     output: &mut Output,
 ) -> Result<()> {
-    let options = PrefilterOptions::default();
-    let (scene, build_s) = case.prefiltered(&options)?;
-    let bytes = scene.bytes();
-    let bytes = bytes.hierarchy + bytes.opacities + bytes.triangle_opacities;
+    let (scene, build_s) = case.prefiltered(&PrefilterOptions::default())?;
     let thresholds =
         if let Workload::Shadow = case.source.workload { [0.05f32, 0.1, 0.2] } else { [0.1, 0.3, 0.6] };
+    let mut curves = Vec::new();
+    for (i, t) in thresholds.into_iter().enumerate() {
+        curves.push(Curve { method: (PREFILTER, i), scene: &scene, query: Query::new(t)? });
+    }
+    let figure = "1, 7, 8";
+    let bytes = bytes(&scene);
+    for kind in Kind::ALL {
+        let setting = Setting { case, figure, kind, curves: &curves, passes, build_s, bytes };
+        let all = setting.measure(peers);
+        if let (Some(folder), Kind::Whole) = (plots, kind) {
+            setting.plot(&all, folder)?;
+        }
+        setting.rows(&all, output)?;
+    }
+    Ok(())
+}
+
+/// Other rules for who may end rays than the default, at the renderer's threshold, on the whole image.
+pub fn rules(case: &Case, passes: usize, output: &mut Output) -> Result<()> {
+    let options = PrefilterOptions::default();
+    let (scene, build_s) = case.prefiltered(&options)?;
     let height = |k| case.prefiltered(&options.with_correlation(Correlation::Height(k)));
     let (height_0, height_5) = (height(0.0)?.0, height(5.0)?.0);
-    let mut curves = Vec::new();
-    for (curve, t) in thresholds.into_iter().enumerate() {
-        curves.push(Curve { method: ("prefilter", curve), scene: &scene, query: Query::new(t)? });
-    }
     let query = case.query();
-    for (name, scene, query) in [
+    let curves = [
+        (PREFILTER, &scene, query),
         (ANY_ANGLE, &scene, query.with_widest(1e3)),
         (FAR_2, &scene, query.with_widest(0.5 * Query::WIDEST)),
         (FAR_4, &scene, query.with_widest(0.25 * Query::WIDEST)),
         (HEIGHT_5, &height_5, query),
         (HEIGHT_0, &height_0, query),
-    ] {
-        curves.push(Curve { method: (name, 0), scene, query });
-    }
-    for kind in Kind::ALL {
-        note(&format!("{} {}", case.source.name, kind.name()));
-        let all = measure(case, kind, &curves, peers, passes);
-        let count = case.receivers.iter().filter(|r| kind.holds(r)).count();
-        if let (Some(folder), Kind::Whole) = (plots, kind) {
-            plot_curves(case, &all, &curves, count, folder)?;
-        }
-        equal_error_rows(case, kind, &all, count, (build_s, bytes), output)?;
-        curve_rows(case, kind, &all, &curves, count, build_s, output)?;
-    }
-    Ok(())
+    ]
+    .map(|(name, scene, query)| Curve { method: (name, 0), scene, query });
+    let (figure, kind, bytes) = ("rules", Kind::Whole, bytes(&scene));
+    let setting = Setting { case, figure, kind, curves: &curves, passes, build_s, bytes };
+    let all = setting.measure(&[]);
+    setting.rows(&all, output)
 }
 
-/// Rows of the time to an error, of one method against another.
-fn equal_error_rows(
-    case: &Case,
-    kind: Kind,
-    all: &[Measured],
-    count: usize,
-    (build_s, bytes): (f64, usize),
-    output: &mut Output,
-) -> Result<()> {
-    let errors = all.iter().filter(|m| m.method.0 == "prefilter").map(|m| m.rmse);
-    let floor = errors.min_by(f64::total_cmp).unwrap_or(f64::NAN);
-    for target in TARGETS {
-        for (method, baseline) in [
-            ("prefilter", "bvh"),
-            ("stochastic", "bvh"),
-            ("prefilter", "stochastic"),
-            ("prefilter", "embree"),
-            (ANY_ANGLE, "bvh"),
-            (FAR_2, "bvh"),
-            (FAR_4, "bvh"),
-            (HEIGHT_5, "bvh"),
-            (HEIGHT_0, "bvh"),
-        ] {
+/// Bytes beside the triangles.
+fn bytes(scene: &Prefiltered) -> usize {
+    let bytes = scene.bytes();
+    bytes.hierarchy + bytes.opacities + bytes.triangle_opacities
+}
+
+impl Setting<'_> {
+    /// Receivers of the kind.
+    fn receivers(&self) -> usize {
+        self.case.receivers.iter().filter(|r| self.kind.holds(r)).count()
+    }
+
+    fn rows(&self, all: &[Measured], output: &mut Output) -> Result<()> {
+        let exact: Vec<CurveName> = ["bvh", "stochastic", "embree"].iter().map(|&name| (name, 0)).collect();
+        for curve in self.curves {
+            for &baseline in &exact {
+                self.equal_error_rows(all, curve.method, baseline, output)?;
+            }
+        }
+        self.equal_error_rows(all, ("stochastic", 0), ("bvh", 0), output)?;
+        self.curve_rows(all, output)
+    }
+
+    /// Rows of the time to an error, of one curve against another.
+    fn equal_error_rows(
+        &self,
+        all: &[Measured],
+        method: CurveName,
+        baseline: CurveName,
+        output: &mut Output,
+    ) -> Result<()> {
+        let case = self.case;
+        let errors = all.iter().filter(|m| m.method == method).map(|m| m.rmse);
+        let floor = errors.min_by(f64::total_cmp).unwrap_or(f64::NAN);
+        for target in TARGETS {
             let in_pass =
-                |pass| Some((best_time(all, baseline, target, pass)?, best_time(all, method, target, pass)?));
+                |pass| Some((time_to(all, baseline, target, pass)?, time_to(all, method, target, pass)?));
             let pairs: Vec<(f64, f64)> = (0..all[0].times.len()).filter_map(in_pass).collect();
             if pairs.is_empty() {
                 continue;
@@ -212,87 +241,149 @@ fn equal_error_rows(
             output.row(&Row {
                 suite: "prefilter",
                 scene: case.source.name.into(),
-                method: method.into(),
+                method: method.0.into(),
                 params: json!({
-                    "figure": "1, 7, 8", "receivers": kind.name(), "alpha": round(case.source.alpha),
-                    "triangles": case.opacity.len(), "target_rmse": target, "against": baseline,
+                    "figure": self.figure, "receivers": self.kind.name(), "alpha": round(case.source.alpha),
+                    "triangles": case.opacity.len(), "size": case.size(), "target_rmse": target,
+                    "t": threshold(self.curves, method).map(round), "against": baseline.0,
                 }),
                 time_s: median(&times),
-                build_s,
+                build_s: self.build_s,
                 mrays_s: 0.0,
                 rmse: target,
                 bias: 0.0,
-                bytes,
-                counters: json!({ "receivers": count, "floor_rmse": floor }),
-                baseline: if baseline == "embree" { "embree" } else { "equal-rmse" },
+                bytes: self.bytes,
+                counters: json!({
+                    "receivers": self.receivers(), "floor_rmse": floor, "reference_rmse": case.reference_rmse,
+                }),
+                baseline: if baseline.0 == "embree" { "embree" } else { "equal-rmse" },
                 speedup: median(&ratios),
             })?;
         }
+        Ok(())
     }
-    Ok(())
-}
 
-/// Rows of all settings.
-fn curve_rows(
-    case: &Case,
-    kind: Kind,
-    all: &[Measured],
-    curves: &[Curve<'_>],
-    count: usize,
-    build_s: f64,
-    output: &mut Output,
-) -> Result<()> {
-    for m in all {
-        let at_same_rays = all.iter().find(|e| e.method.0 == "bvh" && e.rays == m.rays);
-        output.row(&Row {
-            suite: "prefilter",
-            scene: case.source.name.into(),
-            method: m.method.0.into(),
-            params: json!({
-                "figure": "curve", "receivers": kind.name(), "rays": m.rays,
-                "t": threshold(curves, m.method).map(round),
-            }),
-            time_s: median(&m.times),
-            build_s: if m.method.0.starts_with("prefilter") { build_s } else { case.bvh_build_s },
-            mrays_s: (count as u32 * m.rays) as f64 / median(&m.times) * 1e-6,
-            rmse: m.rmse,
-            bias: m.bias,
-            bytes: 0,
-            counters: json!({
-                // What sampling can't have done: the same rays, over the mean that the reference has.
-                "relative_bias_of_same_rays": at_same_rays.map(|e| (m.mean - e.mean) / (m.mean - m.bias)),
-            }),
-            baseline: "bvh",
-            speedup: at_same_rays.map_or(f64::NAN, |e| crate::rows::paired_speedup(&e.times, &m.times)),
-        })?;
-    }
-    Ok(())
-}
-
-/// Figures 1, 7, 8: error against time a receiver, one line a method and threshold.
-fn plot_curves(
-    case: &Case,
-    all: &[Measured],
-    curves: &[Curve<'_>],
-    count: usize,
-    folder: &Path,
-) -> Result<()> {
-    let mut series: Vec<((&str, usize), Series)> = Vec::new();
-    for m in all {
-        let point = [median(&m.times) / count as f64 * 1e6, m.rmse];
-        if let Some((_, own)) = series.iter_mut().find(|(method, _)| *method == m.method) {
-            own.points.push(point);
-            continue;
+    /// Rows of all settings.
+    fn curve_rows(&self, all: &[Measured], output: &mut Output) -> Result<()> {
+        let case = self.case;
+        for m in all {
+            let at_same_rays = all.iter().find(|e| e.method.0 == "bvh" && e.rays == m.rays);
+            output.row(&Row {
+                suite: "prefilter",
+                scene: case.source.name.into(),
+                method: m.method.0.into(),
+                params: json!({
+                    "figure": "curve", "of": self.figure, "receivers": self.kind.name(), "size": case.size(),
+                    "rays": m.rays, "t": threshold(self.curves, m.method).map(round),
+                }),
+                time_s: median(&m.times),
+                build_s: if m.method.0.starts_with(PREFILTER) { self.build_s } else { case.bvh_build_s },
+                mrays_s: (self.receivers() as u32 * m.rays) as f64 / median(&m.times) * 1e-6,
+                rmse: m.rmse,
+                bias: m.bias,
+                bytes: 0,
+                counters: json!({
+                    // What sampling can't have done: the same rays, over the mean that the reference has.
+                    "relative_bias_of_same_rays": at_same_rays.map(|e| (m.mean - e.mean) / (m.mean - m.bias)),
+                    "reference_rmse": case.reference_rmse,
+                }),
+                baseline: "bvh",
+                speedup: at_same_rays.map_or(f64::NAN, |e| crate::rows::paired_speedup(&e.times, &m.times)),
+            })?;
         }
-        let t = threshold(curves, m.method);
-        let name = t.map_or(m.method.0.into(), |t| format!("{}, T = {t}", m.method.0));
-        series.push((m.method, Series { name, points: vec![point], filled: t.is_some() }));
+        Ok(())
     }
-    let series: Vec<Series> = series.into_iter().map(|(_, series)| series).collect();
-    let name = case.source.name;
-    let title = format!("{name}, {} triangles, whole image", case.opacity.len());
-    let labels = ["microseconds a receiver", "RMSE of visibility"];
-    plot::save(folder, &format!("prefilter-error-{name}.svg"), &title, labels, &series)
+
+    /// Figures 1, 7, 8: error against time a receiver, one line a method and threshold.
+    fn plot(&self, all: &[Measured], folder: &Path) -> Result<()> {
+        let count = self.receivers();
+        let mut series: Vec<(CurveName, Series)> = Vec::new();
+        for m in all {
+            let point = [median(&m.times) / count as f64 * 1e6, m.rmse];
+            if let Some((_, own)) = series.iter_mut().find(|(method, _)| *method == m.method) {
+                own.points.push(point);
+                continue;
+            }
+            let t = threshold(self.curves, m.method);
+            let name = t.map_or(m.method.0.into(), |t| format!("{}, T = {t}", m.method.0));
+            series.push((m.method, Series { name, points: vec![point], filled: t.is_some() }));
+        }
+        let series: Vec<Series> = series.into_iter().map(|(_, series)| series).collect();
+        let (name, size) = (self.case.source.name, self.case.size());
+        let title = format!("{name}, {} triangles, {size} pixels", self.case.opacity.len());
+        let labels = ["microseconds a receiver", "RMSE of visibility"];
+        plot::save(folder, &format!("prefilter-error-{name}.svg"), &title, labels, &series)
+    }
+
+    /// All settings on the receivers of the kind.
+    fn measure(&self, peers: &[Box<dyn Peer>]) -> Vec<Measured> {
+        let Self { case, kind, .. } = *self;
+        note(&format!("{} {}", case.source.name, kind.name()));
+        let mut counts: Vec<u32> = EXACT_RAYS.iter().chain(&RAYS).copied().collect();
+        counts.sort_unstable();
+        counts.dedup();
+        let sets: Vec<(u32, Vec<ConeRay>, Vec<Ray>)> = counts
+            .into_iter()
+            .map(|rays| {
+                let cones = case.rays(kind, rays, 5);
+                let plain = cones.iter().map(|c| c.ray).collect();
+                (rays, cones, plain)
+            })
+            .collect();
+        let heat = sets.iter().find(|set| set.0 == HEAT_RAYS).map_or(&[][..], |set| &set.2);
+        let modes: Vec<String> = peers.iter().map(|peer| fastest_mode(case, peer.as_ref(), heat)).collect();
+        let mut points: Vec<Point> = Vec::new();
+        for (rays, cones, plain) in &sets {
+            let point = |method, way| {
+                let (passed, scratch) = (vec![1.0; cones.len()], Default::default());
+                Point { case, kind, method, rays: *rays, cones, plain, way, passed, scratch }
+            };
+            if EXACT_RAYS.contains(rays) {
+                points.push(point(("bvh", 0), Way::Exact));
+                if case.source.alpha < 1.0 {
+                    points.push(point(("stochastic", 0), Way::Stochastic));
+                }
+                for (peer, mode) in peers.iter().zip(&modes) {
+                    points.extend(
+                        peer_way(case, peer.as_ref(), plain, mode).map(|way| point(("embree", 0), way)),
+                    );
+                }
+            }
+            if RAYS.contains(rays) {
+                for curve in self.curves {
+                    points.push(point(curve.method, Way::Prefiltered(curve.scene, curve.query)));
+                }
+            }
+        }
+        let mut timed: Vec<&mut dyn Timed> = points.iter_mut().map(|p| p as &mut dyn Timed).collect();
+        let times = alternate(self.passes, &mut timed);
+        let measured = points.iter().zip(times).map(|(point, times)| {
+            let (rmse, bias) = case.errors(point.kind, point.rays, &point.passed);
+            let mean = point.passed.iter().map(|&x| f64::from(x)).sum::<f64>() / point.passed.len() as f64;
+            Measured { method: point.method, rays: point.rays, rmse, bias, mean, times }
+        });
+        measured.collect()
+    }
+}
+
+/// The call of a peer called `mode`.
+fn peer_way<'a>(case: &Case, peer: &'a dyn Peer, rays: &'a [Ray], mode: &str) -> Option<Way<'a>> {
+    if case.source.alpha < 1.0 {
+        let entries = peer.transmittance(rays, OpticalDepth::from_opacity(ALPHA));
+        entries.into_iter().find(|entry| entry.mode() == mode).map(Way::PeerAlpha)
+    } else {
+        let entries = peer.any_hit(rays);
+        entries.into_iter().find(|e| e.method() == peer.name() && e.mode() == mode).map(Way::Peer)
+    }
+}
+
+/// The peer's fastest call on `rays`.
+fn fastest_mode(case: &Case, peer: &dyn Peer, rays: &[Ray]) -> String {
+    if case.source.alpha < 1.0 {
+        fastest(peer.transmittance(rays, OpticalDepth::from_opacity(ALPHA)))
+    } else {
+        fastest(peer.any_hit(rays).into_iter().filter(|e| e.method() == peer.name()).collect())
+    }
 }
 
 /// A number as people write it.
@@ -300,90 +391,8 @@ pub fn round(x: f32) -> f64 {
     (f64::from(x) * 1e4).round() / 1e4
 }
 
-/// All settings on the receivers of one kind.
-fn measure(
-    case: &Case,
-    kind: Kind,
-    curves: &[Curve<'_>],
-    peers: &[Box<dyn Peer>],
-    passes: usize,
-) -> Vec<Measured> {
-    let counts: Vec<u32> = {
-        let mut counts: Vec<u32> = EXACT_RAYS.iter().chain(&RAYS).copied().collect();
-        counts.sort_unstable();
-        counts.dedup();
-        counts
-    };
-    let sets: Vec<(u32, Vec<ConeRay>, Vec<Ray>)> = counts
-        .iter()
-        .map(|&rays| {
-            let cones = case.rays(kind, rays, 5);
-            let plain = cones.iter().map(|c| c.ray).collect();
-            (rays, cones, plain)
-        })
-        .collect();
-    let mut points: Vec<Point> = Vec::new();
-    for (rays, cones, plain) in &sets {
-        points.extend(exact_points(case, kind, *rays, cones, plain, peers));
-        if RAYS.contains(rays) {
-            for curve in curves {
-                let way = Way::Prefiltered(curve.scene, curve.query);
-                points.push(point(case, kind, curve.method, *rays, cones, plain, way));
-            }
-        }
-    }
-    let mut timed: Vec<&mut dyn Timed> = points.iter_mut().map(|p| p as &mut dyn Timed).collect();
-    let times = alternate(passes, &mut timed);
-    let measured = points.iter().zip(times).map(|(point, times)| {
-        let (rmse, bias) = case.errors(point.kind, point.rays, &point.passed);
-        let mean = point.passed.iter().map(|&x| f64::from(x)).sum::<f64>() / point.passed.len() as f64;
-        Measured { method: point.method, rays: point.rays, rmse, bias, mean, times }
-    });
-    measured.collect()
-}
-
-fn point<'a>(
-    case: &'a Case,
-    kind: Kind,
-    method: (&'static str, usize),
-    rays: u32,
-    cones: &'a [ConeRay],
-    plain: &'a [Ray],
-    way: Way<'a>,
-) -> Point<'a> {
-    let passed = vec![1.0; cones.len()];
-    Point { case, kind, method, rays, cones, plain, way, passed, scratch: Default::default() }
-}
-
-/// Our exact rays, stochastic opacity, and the fastest entry of each peer.
-fn exact_points<'a>(
-    case: &'a Case,
-    kind: Kind,
-    rays: u32,
-    cones: &'a [ConeRay],
-    plain: &'a [Ray],
-    peers: &'a [Box<dyn Peer>],
-) -> Vec<Point<'a>> {
-    if !EXACT_RAYS.contains(&rays) {
-        return Vec::new();
-    }
-    let mut points = vec![point(case, kind, ("bvh", 0), rays, cones, plain, Way::Exact)];
-    if case.source.alpha < 1.0 {
-        points.push(point(case, kind, ("stochastic", 0), rays, cones, plain, Way::Stochastic));
-    }
-    for peer in peers {
-        let way = if case.source.alpha < 1.0 {
-            Way::PeerAlpha(fastest(peer.transmittance(plain, OpticalDepth::from_opacity(ALPHA))))
-        } else {
-            Way::Peer(fastest(peer.any_hit(plain)))
-        };
-        points.push(point(case, kind, ("embree", 0), rays, cones, plain, way));
-    }
-    points
-}
-
-/// The fastest in two passes.
-fn fastest<'a, A>(mut entries: Vec<Box<dyn Entry<A> + 'a>>) -> Box<dyn Entry<A> + 'a> {
+/// The mode of the fastest in two passes.
+fn fastest<A>(mut entries: Vec<Box<dyn Entry<A> + '_>>) -> String {
     let times: Vec<f64> = entries
         .iter_mut()
         .map(|entry| {
@@ -398,5 +407,5 @@ fn fastest<'a, A>(mut entries: Vec<Box<dyn Entry<A> + 'a>>) -> Box<dyn Entry<A> 
         })
         .collect();
     let at = times.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i);
-    entries.swap_remove(at)
+    entries.get(at).map_or_else(String::new, |entry| entry.mode())
 }

@@ -10,6 +10,10 @@ use umbrage_occlusion::volumetric::{
     Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
     SolidBvhOptions, SolidCounters, Solids, Statistics,
 };
+use umbrage_render::{
+    geometry::Geometry,
+    method::{LightRay, Method, shadow_method},
+};
 
 /// Orders under their names.
 pub const ORDERS: [(&str, Order); 6] = [
@@ -26,6 +30,15 @@ pub const AUTO: &str = "auto";
 
 /// Of these, with a guide.
 const GUIDED: [&str; 2] = ["extended", "solid"];
+
+/// Methods of the renderer that walk a kd-tree, with the suite's names for what they do.
+const OF_RENDERER: [(&str, &str); 5] = [
+    ("kd", "kd"),
+    ("kd-volumetric:extended", "kd-volumetric:extended+cache"),
+    ("kd-volumetric:qdbfs", "kd-volumetric:qdbfs+cache"),
+    ("kd-volumetric:solid", "kd-volumetric:solid+cache"),
+    ("kd-volumetric:guided", "kd-volumetric:solid+guide"),
+];
 
 /// The structures of a scene, with the times that they took, seconds.
 pub struct Structures {
@@ -103,6 +116,21 @@ pub enum Call {
     Single,
     /// Packets of four in the kd-tree, the fan of a receiver and a light in the hierarchy, with solid boxes or without.
     Together,
+    /// As the renderer's shadow pass: all rays of a receiver to a light in one call of its method, which makes packets of four.
+    Renderer,
+}
+
+impl Call {
+    pub const ALL: [Self; 3] = [Self::Single, Self::Together, Self::Renderer];
+
+    /// What rows call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Single => "single",
+            Self::Together => "together",
+            Self::Renderer => "renderer",
+        }
+    }
 }
 
 /// What a caster is.
@@ -113,6 +141,8 @@ pub enum Kind<'a> {
     Solid(&'a SolidBvh, bool),
     /// Order, and how occluders are used.
     Kd(&'a KdVolumetric, Order, Use),
+    /// A method of the renderer.
+    Renderer(&'a dyn Method),
 }
 
 /// How a kd-tree's occluders are used.
@@ -134,9 +164,42 @@ pub struct Caster<'a> {
     pub bytes: usize,
 }
 
-/// All casters of a scene: `bvh`, `kd` and their relatives.
-pub fn casters(s: &Structures) -> Vec<Caster<'_>> {
+/// Methods of the renderer that walk a kd-tree, with the suite's names.
+pub fn of_renderer<'a>(geometry: &'a Geometry, rays: &ShadowRays) -> Result<Vec<Named<'a>>> {
+    let method = |(name, ours)| Ok((ours, shadow_method(name, geometry, rays)?.method));
+    OF_RENDERER.into_iter().map(method).collect()
+}
+
+/// A method of the renderer, and what rows call it.
+pub type Named<'a> = (&'static str, Box<dyn Method + 'a>);
+
+/// The casters that walk a kd-tree, by our calls and the renderer's.
+pub fn kd_casters<'a>(s: &'a Structures, renderer: &'a [Named<'a>]) -> Vec<Caster<'a>> {
     let pre_s = s.kd_s + s.audit_s + s.classify_s;
+    let mut casters = Vec::new();
+    let mut add = |method: &str, call, kind, build_s, bytes| {
+        casters.push(Caster { method: method.into(), call, kind, build_s, bytes });
+    };
+    for call in [Call::Single, Call::Together] {
+        add("kd", call, Kind::Kd(&s.kd, Order::RAY, Use::Not), s.kd_s, s.kd.tree().bytes());
+        for (name, order) in ORDERS {
+            for (how, suffix) in [(Use::Plain, ""), (Use::Cached, "+cache"), (Use::Guided, "+guide")] {
+                if (how == Use::Guided && !GUIDED.contains(&name)) || (how == Use::Cached && name == "ray") {
+                    continue;
+                }
+                let method = format!("kd-volumetric:{name}{suffix}");
+                add(&method, call, Kind::Kd(&s.kd, order, how), pre_s, s.kd.bytes());
+            }
+        }
+    }
+    for (name, method) in renderer {
+        add(name, Call::Renderer, Kind::Renderer(method.as_ref()), pre_s, s.kd.bytes());
+    }
+    casters
+}
+
+/// The casters that walk the wide hierarchy.
+pub fn wide_casters(s: &Structures) -> Vec<Caster<'_>> {
     let mut casters = Vec::new();
     let mut add = |method: &str, call, kind, build_s, bytes| {
         casters.push(Caster { method: method.into(), call, kind, build_s, bytes });
@@ -158,21 +221,6 @@ pub fn casters(s: &Structures) -> Vec<Caster<'_>> {
         let kind = auto.as_ref().map_or(Kind::Bvh(&s.bvh), |solid| Kind::Solid(solid, true));
         add(AUTO, call, kind, s.bvh_s + auto_s, auto.as_ref().map_or(s.bvh.bytes(), SolidBvh::bytes));
     }
-    for call in [Call::Single, Call::Together] {
-        add("kd", call, Kind::Kd(&s.kd, Order::RAY, Use::Not), s.kd_s, s.kd.tree().bytes());
-    }
-    for (name, order) in ORDERS {
-        for (how, suffix) in [(Use::Plain, ""), (Use::Cached, "+cache"), (Use::Guided, "+guide")] {
-            if (how == Use::Guided && !GUIDED.contains(&name)) || (how == Use::Cached && name == "ray") {
-                continue;
-            }
-            let method = format!("kd-volumetric:{name}{suffix}");
-            add(&method, Call::Single, Kind::Kd(&s.kd, order, how), pre_s, s.kd.bytes());
-            if how != Use::Plain && ["qdbfs", "solid"].contains(&name) {
-                add(&method, Call::Together, Kind::Kd(&s.kd, order, how), pre_s, s.kd.bytes());
-            }
-        }
-    }
     casters
 }
 
@@ -184,7 +232,7 @@ impl Caster<'_> {
                 Call::Single => {
                     shadows.rays.iter().zip(hits).for_each(|(ray, hit)| *hit = bvh.any_hit(ray));
                 }
-                Call::Together => bvh.any_hits_with(&shadows.rays, hits, &mut ()),
+                _ => bvh.any_hits_with(&shadows.rays, hits, &mut ()),
             },
             Kind::Solid(solid, remembered) => {
                 let mut scratch = solid.scratch();
@@ -198,11 +246,12 @@ impl Caster<'_> {
                             .iter()
                             .zip(hits)
                             .for_each(|(ray, hit)| *hit = solid.any_hit(ray, ends, light, &mut scratch)),
-                        Call::Together => solid.any_hits(rays, hits, ends, light, &mut scratch),
+                        _ => solid.any_hits(rays, hits, ends, light, &mut scratch),
                     }
                 }
             }
             Kind::Kd(..) => self.run_kd(scene, shadows, hits, &mut ()),
+            Kind::Renderer(method) => run_method(method, shadows, hits, None),
         }
     }
 
@@ -223,7 +272,7 @@ impl Caster<'_> {
                     .iter()
                     .zip(hits)
                     .for_each(|(ray, hit)| *hit = kd.any_hit_with(ray, &query, &mut scratch, stats)),
-                Call::Together => kd.any_hits_in_packets(rays, hits, &query, &mut scratch, stats),
+                _ => kd.any_hits_in_packets(rays, hits, &query, &mut scratch, stats),
             }
         }
     }
@@ -238,6 +287,7 @@ impl Caster<'_> {
                 Use::Guided => order == Order::SOLID,
                 Use::Plain => false,
             },
+            Kind::Renderer(_) => false,
         };
         kind && self.call == Call::Single
     }
@@ -245,7 +295,7 @@ impl Caster<'_> {
     /// An empty tally.
     pub fn tally(&self) -> Tally {
         match self.kind {
-            Kind::Bvh(_) => Tally::Bvh(umbrage_accel::Counters::default()),
+            Kind::Bvh(_) | Kind::Renderer(_) => Tally::Bvh(umbrage_accel::Counters::default()),
             Kind::Solid(..) => Tally::Solid(SolidCounters::default()),
             Kind::Kd(..) => Tally::Kd(Counters::default()),
         }
@@ -271,6 +321,10 @@ impl Caster<'_> {
             (Kind::Kd(..), Tally::Kd(counters)) => {
                 let mut hits = vec![false; shadows.rays.len()];
                 self.run_kd(scene, shadows, &mut hits, counters);
+            }
+            (Kind::Renderer(method), Tally::Bvh(counters)) => {
+                let mut hits = vec![false; shadows.rays.len()];
+                run_method(method, shadows, &mut hits, Some(counters));
             }
             _ => unreachable!("tallies are made for their casters"),
         }
@@ -330,6 +384,26 @@ impl Caster<'_> {
             }
             _ => unreachable!("tallies are made for their casters"),
         }
+    }
+}
+
+/// Answers every ray as the integrator asks: a receiver and a light at a time.
+fn run_method(
+    method: &dyn Method,
+    shadows: &Shadows,
+    hits: &mut [bool],
+    mut counters: Option<&mut umbrage_accel::Counters>,
+) {
+    let (mut rays, mut passed) = (Vec::new(), Vec::new());
+    for fan in &shadows.fans {
+        let range = fan.start as usize..fan.end as usize;
+        rays.clear();
+        // Only prefiltered rays ask for solid angles.
+        rays.extend(shadows.rays[range.clone()].iter().map(|&ray| LightRay { ray, solid_angle: 0.0 }));
+        passed.clear();
+        passed.resize(rays.len(), 1.0);
+        method.transmittances(&rays, Some(fan.light as usize), &mut passed, counters.as_deref_mut());
+        hits[range].iter_mut().zip(&passed).for_each(|(hit, &passed)| *hit = passed == 0.0);
     }
 }
 

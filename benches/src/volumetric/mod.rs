@@ -7,7 +7,7 @@ mod scene;
 mod tables;
 
 use self::{
-    methods::{Call, Caster, Run, Structures, Tally, casters},
+    methods::{Call, Caster, Run, Structures, Tally, kd_casters, of_renderer, wide_casters},
     scene::{Scene, Shadows},
     tables::Tables,
 };
@@ -18,11 +18,12 @@ use crate::{
     rows::{Output, Row, Timed, alternate, median, note, paired_speedup},
     scenes,
 };
-use anyhow::Result;
+use anyhow::{Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
 use umbrage_accel::brute;
 use umbrage_geom::Ray;
+use umbrage_occlusion::volumetric::ShadowRays;
 
 /// What to run.
 #[derive(Clone, Debug)]
@@ -33,9 +34,14 @@ pub struct Options {
     pub peers: Vec<PeerName>,
     /// Only scenes whose name contains this.
     pub only: Option<String>,
+    /// Only one of [`PARTS`].
+    pub part: Option<String>,
     /// Where pictures go, if they are wanted.
     pub pictures: Option<PathBuf>,
 }
+
+/// Parts of the suite: what walks the wide hierarchy, and what walks a kd-tree.
+const PARTS: [&str; 2] = ["wide", "kd"];
 
 /// Closed meshes under area lights; the rest are generators.
 const SINGLE: [&str; 9] = [
@@ -64,6 +70,9 @@ pub struct Case<'a> {
 }
 
 pub fn run(options: &Options, output: &mut Output) -> Result<()> {
+    if let Some(part) = options.part.as_ref().filter(|part| !PARTS.contains(&part.as_str())) {
+        bail!("unknown part '{part}', expected one of {}", PARTS.join(", "));
+    }
     let mut tables = Tables::default();
     let wanted = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     for (i, name) in SINGLE.into_iter().enumerate() {
@@ -82,7 +91,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
                 measure(&scene::many(name, &folder, leaves)?, options, &mut tables, output)?;
             }
         }
-        if wanted(instances::NAME) {
+        if wanted(instances::NAME) && options.part.as_ref().is_none_or(|part| part == "wide") {
             instances::measure(&folder, options, output)?;
         }
     }
@@ -123,7 +132,17 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
     let part = |part| scene.shadows(&structures.bvh, SIDE, PER_LIGHT, step, part);
     let shadows = part(0);
     let case = Case { scene, shadows: &shadows, structures: &structures };
-    let casters = casters(&structures);
+    let part_wanted = |part: &str| options.part.as_ref().is_none_or(|wanted| wanted == part);
+    let geometry = scene.geometry()?;
+    let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
+    let renderer = of_renderer(&geometry, &ShadowRays { lights: &lights, count, together: fans })?;
+    let mut casters = Vec::new();
+    if part_wanted("wide") {
+        casters.extend(wide_casters(&structures));
+    }
+    if part_wanted("kd") {
+        casters.extend(kd_casters(&structures, &renderer));
+    }
     // Short ones need more passes for a median that means something.
     let passes = (8_000_000 / shadows.rays.len().max(1)).clamp(3, 25);
     let peers: Vec<Box<dyn Peer>> =
@@ -133,7 +152,7 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
     let (times, answers) = case.time(&casters, rivals, passes);
     let wrong = brute_differences(scene, &shadows, &answers[0]);
     let mut tallies: Vec<(Tally, usize)> = casters.iter().map(|caster| (caster.tally(), 0)).collect();
-    let whole = !options.quick && SINGLE[..QUICK].contains(&scene.name.as_str());
+    let whole = !options.quick && options.part.is_none() && SINGLE[..QUICK].contains(&scene.name.as_str());
     for index in 0..if whole { step } else { 1 } {
         let other = (index > 0).then(|| part(index));
         let shadows = other.as_ref().unwrap_or(&shadows);
@@ -149,19 +168,19 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
         let differences =
             |other: usize| answers[i].iter().zip(&answers[other]).filter(|(a, b)| a != b).count();
         counters["different_bits"] = json!(differences(0) + wrong);
-        let together = caster.call == Call::Together;
-        let of = |method: &str, together: bool| {
-            casters.iter().position(|c| c.method == method && (c.call == Call::Together) == together)
-        };
+        let of = |method: &str, call: Call| casters.iter().position(|c| c.method == method && c.call == call);
         // Single rays against single rays, packets against packets.
         let baseline = if caster.method.starts_with("kd") { "kd" } else { "bvh" };
-        let against = of(baseline, together).expect("every call has its baseline");
+        let against = of(baseline, caster.call).expect("every call has its baseline");
+        if let Some(single) = of(&caster.method, Call::Single).filter(|_| caster.call != Call::Single) {
+            counters["speedup_over_single"] = json!(paired_speedup(&times[single], &times[i]));
+        }
         let time_s = median(&times[i]);
         let row = Row {
             suite: "volumetric",
             scene: scene.name.clone(),
             method: caster.method.clone(),
-            params: json!({ "call": if together { "together" } else { "single" }, "rays": shadows.rays.len() }),
+            params: json!({ "call": caster.call.name(), "rays": shadows.rays.len() }),
             time_s,
             build_s: caster.build_s,
             mrays_s: shadows.rays.len() as f64 / time_s * 1e-6,

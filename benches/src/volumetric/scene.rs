@@ -5,12 +5,14 @@ use anyhow::Result;
 use std::{f32::consts::TAU, ops::Range, path::Path};
 use umbrage_accel::{BuildOptions, Bvh};
 use umbrage_geom::{
-    Aabb, Ray, TriangleMesh,
+    Aabb, MeshObject, Ray, TriangleMesh,
     glam::{Affine3A, Vec2, Vec3},
     offset_origin,
     sampling::RandomStream,
 };
 use umbrage_occlusion::volumetric::Object;
+use umbrage_render::geometry::Geometry;
+use umbrage_scene::{Camera, Instance, Material, NamedMesh, Settings};
 
 /// A mesh with what casts light on it.
 pub struct Scene {
@@ -230,6 +232,39 @@ impl Shadows {
 }
 
 impl Scene {
+    /// What the renderer traces.
+    pub fn geometry(&self) -> Result<Geometry> {
+        let mut mesh = self.mesh.clone();
+        let object =
+            |o: &Object| MeshObject { name: String::new(), triangles: o.triangles.clone(), opacity: 1.0 };
+        mesh.objects = self.objects.iter().map(object).collect();
+        let material = Material { name: "matter".into(), albedo: [0.7; 3], opacity: 1.0 };
+        let instance = Instance {
+            name: self.name.clone(),
+            mesh: 0,
+            world_from_object: Affine3A::IDENTITY,
+            materials: vec![0; mesh.objects.len()],
+        };
+        let camera = Camera {
+            position: self.eye.to_array(),
+            target: self.look.to_array(),
+            up: [0.0, 1.0, 0.0],
+            fov: 44.0,
+            lens_radius: 0.0,
+            focus_distance: None,
+        };
+        Ok(Geometry::build(&umbrage_scene::Scene {
+            camera,
+            meshes: vec![NamedMesh::new(self.name.clone(), mesh)],
+            instances: vec![instance],
+            materials: vec![material],
+            lights: Vec::new(),
+            ambient: None,
+            background: [0.0; 3],
+            settings: Settings::default(),
+        })?)
+    }
+
     /// Shadow rays of an image of `side` x `side` pixels, `per_light` to each light that the surface faces; of tiles of
     /// 16 x 16 pixels, one in `step`. There are `step` such parts of the image, and this is number `part`.
     pub fn shadows(&self, bvh: &Bvh, side: u32, per_light: u32, step: u32, part: u32) -> Shadows {

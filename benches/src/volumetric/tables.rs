@@ -38,6 +38,13 @@ pub struct Tables {
     scenes: Vec<SceneFacts>,
 }
 
+/// What the dissertation compares with ray order (figure 3.5).
+const PUBLISHED: [&str; 4] = [
+    "kd-volumetric:extended",
+    "kd-volumetric:extended+cache",
+    "kd-volumetric:qdbfs",
+    "kd-volumetric:qdbfs+cache",
+];
 const BASE: &str = "kd";
 const BEST: &str = "kd-volumetric:qdbfs+cache";
 const GUIDED: &str = "kd-volumetric:solid+guide";
@@ -139,24 +146,11 @@ impl Tables {
 
     fn print_single(&self) {
         println!(
-            "\nTable 3.2: triangles, occluders, rays (thousands); preprocessing, and the build of the tree (s); base, best (ns/ray); % saved"
+            "\nTable 3.2, preprocessing: triangles, occluders, rays (thousands); its parts and the build of the tree (s)"
         );
         for s in &self.scenes {
-            let base = self.find(&s.name, BASE, "single").map(|(row, _)| row.time_s);
-            let best = self
-                .rows
-                .iter()
-                .map(|(row, _)| row)
-                .filter(|row| {
-                    row.scene == s.name
-                        && row.method.starts_with("kd-volumetric")
-                        && row.params["call"] == "single"
-                })
-                .max_by(|a, b| a.speedup.total_cmp(&b.speedup));
-            let (Some(base), Some(best)) = (base, best) else { continue };
-            let ns = |t: f64| t / s.rays as f64 * 1e9;
             println!(
-                "  {:<18} {:>7.1} {:>7.1} {:>8.1}  audit {:.3} flood {:.3} (test rays {:.3}) tree {:.3} boxes {:.3}  {:>6.1} {:>6.1} {:>5.1}%  {}",
+                "  {:<18} {:>7.1} {:>7.1} {:>8.1}  audit {:.3} flood {:.3} (test rays {:.3}) tree {:.3} boxes {:.3}",
                 s.name,
                 s.triangles as f64 / 1e3,
                 s.occluders as f64 / 1e3,
@@ -166,24 +160,26 @@ impl Tables {
                 s.test_rays_s,
                 s.kd_s,
                 s.solid_s,
-                ns(base),
-                ns(best.time_s),
-                100.0 * (1.0 - 1.0 / best.speedup),
-                best.method
             );
         }
-        println!("\nTable 3.3: use of packets of four, % at leaves / all: ray order, QDBFS with cache");
+        for call in Call::ALL {
+            self.print_savings(call.name());
+        }
+        println!(
+            "\nTable 3.3: use of packets of four, % at leaves / all: ray order, fastest published order"
+        );
         for s in &self.scenes {
-            let (Some(a), Some(b)) =
-                (self.find(&s.name, BASE, "together"), self.find(&s.name, BEST, "together"))
-            else {
+            let (Some(a), Some(b)) = (
+                self.find(&s.name, BASE, "together"),
+                self.fastest(&s.name, "together", |method| PUBLISHED.contains(&method)),
+            ) else {
                 continue;
             };
             let used = |row: &Row, key: &str| 100.0 * row.counters[key].as_f64().unwrap_or(0.0);
             let both = |row: &Row| {
                 format!("{:.1} / {:.1}", used(row, "packet_use_at_leaves"), used(row, "packet_use"))
             };
-            println!("  {:<18} {}   {}", s.name, both(&a.0), both(&b.0));
+            println!("  {:<18} {}   {}  {}", s.name, both(&a.0), both(b), b.method);
         }
         println!(
             "\nTable 3.4 and figure 3.9: ns an occluded ray, base, QDBFS with cache, with a guide; an unoccluded ray, the same; % occluded"
@@ -195,6 +191,47 @@ impl Tables {
                 s.by_answer.iter().map(ns).collect::<Vec<_>>().join(" ")
             };
             println!("  {:<18} {}   {}   {:.1}%", s.name, line(0), line(1), 100.0 * s.occluded);
+        }
+    }
+
+    /// The row of a scene's fastest method with occluders among those that `counts`.
+    fn fastest(&self, scene: &str, call: &str, counts: impl Fn(&str) -> bool) -> Option<&Row> {
+        let rows = self.rows.iter().map(|(row, _)| row).filter(|row| {
+            row.scene == scene
+                && row.params["call"] == call
+                && row.method.starts_with("kd-volumetric")
+                && counts(&row.method)
+        });
+        rows.max_by(|a, b| a.speedup.total_cmp(&b.speedup))
+    }
+
+    /// Table 3.2 by one call: ray order and the fastest of the published orders, and of all.
+    fn print_savings(&self, call: &str) {
+        println!(
+            "\nTable 3.2, {call}: ns a ray in ray order (its speed over single rays); fastest published order, % saved; fastest of \
+             all, % saved"
+        );
+        for s in &self.scenes {
+            let Some((base, _)) = self.find(&s.name, BASE, call) else { continue };
+            let (Some(published), Some(any)) = (
+                self.fastest(&s.name, call, |method| PUBLISHED.contains(&method)),
+                self.fastest(&s.name, call, |_| true),
+            ) else {
+                continue;
+            };
+            let ns = |row: &Row| row.time_s / s.rays as f64 * 1e9;
+            let over_single = base.counters["speedup_over_single"].as_f64().unwrap_or(1.0);
+            let saved = |row: &Row| {
+                let name = row.method.trim_start_matches("kd-volumetric:");
+                format!("{:>6.1} {:>5.1}% {name:<14}", ns(row), 100.0 * (1.0 - 1.0 / row.speedup))
+            };
+            println!(
+                "  {:<18} {:>6.1} ({over_single:.2})  {}  {}",
+                s.name,
+                ns(base),
+                saved(published),
+                saved(any)
+            );
         }
     }
 

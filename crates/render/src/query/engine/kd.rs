@@ -4,7 +4,11 @@ use super::{Engine, LightRay, Report, one_mesh};
 use crate::query::{Occluders, QueryError, ShadowMethod};
 use std::sync::{Arc, Mutex};
 use umbrage_accel::{Counters, kdtree::Order};
+use umbrage_geom::Ray;
 use umbrage_occlusion::volumetric::{self, KdVolumetric, Query, Scratch};
+
+/// Rays that walk together.
+const PACKET: usize = 4;
 
 pub(super) struct Kd {
     method: ShadowMethod,
@@ -38,6 +42,30 @@ impl Kd {
     }
 }
 
+/// Answers the rays of a receiver to a light in packets of four (Djeu11, section 3.7.1), a ray that is alone by itself.
+fn in_packets(
+    tree: &KdVolumetric,
+    rays: &[LightRay],
+    query: &Query,
+    scratch: &mut Scratch,
+    passed: &mut [f32],
+    stats: &mut impl volumetric::Statistics,
+) {
+    let none = Ray::new([0.0; 3], [0.0; 3]);
+    for (rays, passed) in rays.chunks(PACKET).zip(passed.chunks_mut(PACKET)) {
+        let (mut packet, mut hits) = ([none; PACKET], [false; PACKET]);
+        packet.iter_mut().zip(rays).for_each(|(to, from)| *to = from.ray);
+        match rays {
+            [alone] => hits[0] = tree.any_hit_with(&alone.ray, query, scratch, stats),
+            _ => {
+                let (packet, hits) = (&packet[..rays.len()], &mut hits[..rays.len()]);
+                tree.any_hits_in_packets(packet, hits, query, scratch, stats);
+            }
+        }
+        passed.iter_mut().zip(hits).for_each(|(out, hit)| *out = f32::from(u8::from(!hit)));
+    }
+}
+
 impl Engine for Kd {
     fn name(&self) -> &'static str {
         self.method.name()
@@ -54,17 +82,14 @@ impl Engine for Kd {
         let mut scratch = kept().pop().unwrap_or_default();
         let query = self.query.with_light(light);
         let mut counted = volumetric::Counters::default();
-        for (to_light, out) in rays.iter().zip(passed) {
-            let hit = match counters {
-                Some(_) => self.tree.any_hit_with(&to_light.ray, &query, &mut scratch, &mut counted),
-                None => self.tree.any_hit(&to_light.ray, &query, &mut scratch),
-            };
-            *out = f32::from(u8::from(!hit));
-        }
-        if let Some(counters) = counters {
-            counters.nodes += counted.kd.steps;
-            counters.box_tests += counted.box_tests;
-            counters.triangle_tests += counted.kd.triangle_tests;
+        match counters {
+            Some(counters) => {
+                in_packets(&self.tree, rays, &query, &mut scratch, passed, &mut counted);
+                counters.nodes += counted.kd.steps;
+                counters.box_tests += counted.box_tests;
+                counters.triangle_tests += counted.kd.triangle_tests;
+            }
+            None => in_packets(&self.tree, rays, &query, &mut scratch, passed, &mut ()),
         }
         kept().push(scratch);
         Ok(())
