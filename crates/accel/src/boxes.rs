@@ -89,9 +89,14 @@ impl BoxBvh {
         self.back_end.run(WalkUnsorted(WalkBoxes { bvh: self, ray, visitor }))
     }
 
-    /// [`Self::walk_unsorted`] for rays of one origin together; returns those that were answered, a bit each.
+    /// Walks rays of one origin together. Returns the rays that were answered, one bit each.
     ///
-    /// The others are not valid, or their direction or segment is of extreme size: they need a walk of their own.
+    /// Until the visitor says that an answered ray needs no more, the ray is given every box that its closed segment touches
+    /// in exact arithmetic, and no box twice. It may be given other boxes too. Which other boxes, and the order of all, depend
+    /// on which other rays of the fan still look, because a node is tested against all of them together where that is faster.
+    ///
+    /// Rays that are not answered are given no box. They are not valid, or their direction or segment is of extreme size:
+    /// they need a walk of their own.
     ///
     /// # Panics
     /// If there are no rays or more than [`FAN`]; origins of the same bits are for the caller to see to.

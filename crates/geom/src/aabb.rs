@@ -238,28 +238,22 @@ fn scale_extreme(direction: Vec3, largest: f32) -> (Vec3, [f32; 2]) {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use umbrage_testkit::{Segment, segment_meets_interior, segment_touches_box};
 
-    /// Whether the closed segment touches the closed box, in exact rational arithmetic.
-    fn touches_exactly(ray: &Ray, aabb: &Aabb) -> bool {
-        use num_rational::BigRational as Q;
-        let q = |x: f32| Q::from_float(x).unwrap();
-        let mut t0 = q(ray.tnear);
-        let mut t1 = (ray.tfar < f32::INFINITY).then(|| q(ray.tfar));
-        for axis in 0..3 {
-            let (o, d) = (q(ray.origin[axis]), q(ray.direction[axis]));
-            let (lo, hi) = (q(aabb.min[axis]), q(aabb.max[axis]));
-            if d == q(0.0) {
-                if o < lo || o > hi {
-                    return false;
-                }
-                continue;
-            }
-            let (a, b) = ((lo - &o) / &d, (hi - &o) / &d);
-            let (near, far) = if a < b { (a, b) } else { (b, a) };
-            t0 = t0.max(near);
-            t1 = Some(t1.map_or(far.clone(), |t| t.min(far)));
+    fn segment(ray: &Ray) -> Segment {
+        Segment {
+            origin: ray.origin.to_array(),
+            direction: ray.direction.to_array(),
+            ends: [ray.tnear, ray.tfar],
         }
-        t1.is_none_or(|t1| t0 <= t1)
+    }
+
+    fn touches_exactly(ray: &Ray, aabb: &Aabb) -> bool {
+        segment_touches_box(&segment(ray), [aabb.min, aabb.max].map(|v| v.to_array()))
+    }
+
+    fn crosses_exactly(ray: &Ray, aabb: &Aabb) -> bool {
+        segment_meets_interior(&segment(ray), [aabb.min, aabb.max].map(|v| v.to_array()))
     }
 
     fn nasty() -> impl Strategy<Value = f32> {
@@ -286,29 +280,6 @@ mod tests {
             prop_assume!(ray.is_valid());
             prop_assert!(aabb.may_hit(&ray) || !touches_exactly(&ray, &aabb));
         }
-    }
-
-    /// Whether the open segment has a point in the open box, in exact rational arithmetic.
-    fn crosses_exactly(ray: &Ray, aabb: &Aabb) -> bool {
-        use num_rational::BigRational as Q;
-        let q = |x: f32| Q::from_float(x).unwrap();
-        let mut t0 = q(ray.tnear);
-        let mut t1 = (ray.tfar < f32::INFINITY).then(|| q(ray.tfar));
-        for axis in 0..3 {
-            let (o, d) = (q(ray.origin[axis]), q(ray.direction[axis]));
-            let (lo, hi) = (q(aabb.min[axis]), q(aabb.max[axis]));
-            if d == q(0.0) {
-                if o <= lo || o >= hi {
-                    return false;
-                }
-                continue;
-            }
-            let (a, b) = ((lo - &o) / &d, (hi - &o) / &d);
-            let (near, far) = if a < b { (a, b) } else { (b, a) };
-            t0 = t0.max(near);
-            t1 = Some(t1.map_or(far.clone(), |t| t.min(far)));
-        }
-        t1.is_none_or(|t1| t0 < t1)
     }
 
     proptest! {

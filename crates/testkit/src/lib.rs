@@ -1,0 +1,6 @@
+//! Oracles for tests. A development dependency only; it depends on no other crate of the workspace, so that unit tests of
+//! every crate can use it.
+
+mod boxes;
+
+pub use boxes::{Segment, segment_meets_interior, segment_touches_box};
