@@ -63,7 +63,8 @@ mod tests {
 
     #[test]
     fn touching_is_not_meeting() {
-        let along = |y: f32, ends: [f32; 2]| Segment { origin: [-1.0, y, 0.5], direction: [1.0, 0.0, 0.0], ends };
+        let along =
+            |y: f32, ends: [f32; 2]| Segment { origin: [-1.0, y, 0.5], direction: [1.0, 0.0, 0.0], ends };
         let both = |s: Segment| [segment_touches_box(&s, UNIT), segment_meets_interior(&s, UNIT)];
         assert_eq!(both(along(0.5, [0.0, f32::INFINITY])), [true, true]);
         assert_eq!(both(along(1.0, [0.0, f32::INFINITY])), [true, false]);
