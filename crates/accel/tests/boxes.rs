@@ -111,6 +111,51 @@ fn check_fan(boxes: &[Aabb], all: &[Ray], limit: usize) -> Result<(), TestCaseEr
     Ok(())
 }
 
+/// Where the segment enters the box, rounded in `f64`; `None` if it does not.
+fn entry(ray: &Ray, aabb: &Aabb) -> Option<f64> {
+    let (mut start, mut end) = (f64::from(ray.tnear), f64::from(ray.tfar));
+    for axis in 0..3 {
+        let [o, d, low, high] =
+            [ray.origin[axis], ray.direction[axis], aabb.min[axis], aabb.max[axis]].map(f64::from);
+        if d == 0.0 {
+            // All of the line is between the planes, or none of it.
+            if o < low || o > high {
+                return None;
+            }
+        } else {
+            let (a, b) = ((low - o) / d, (high - o) / d);
+            (start, end) = (start.max(a.min(b)), end.min(a.max(b)));
+        }
+    }
+    (start <= end).then_some(start)
+}
+
+/// Checks that ends which the visitor gives cut the walk, and that the box that the segment enters first is not among what is
+/// cut. Hits are where boxes start.
+fn check_ends(boxes: &[Aabb], ray: &Ray) -> Result<(), TestCaseError> {
+    for quality in QUALITIES {
+        let bvh = BoxBvh::build(boxes, quality).unwrap();
+        let all = visited(&bvh, ray, true);
+        let nearest = |some: &[u32]| {
+            let entries = some.iter().filter_map(|&i| entry(ray, &boxes[i as usize]));
+            entries.fold(f64::INFINITY, f64::min)
+        };
+        let (mut tfar, mut seen) = (ray.tfar, Vec::new());
+        let _ = bvh.walk(ray, |index| {
+            seen.push(index);
+            if let Some(entry) = entry(ray, &boxes[index as usize]) {
+                tfar = tfar.min(entry as f32);
+            }
+            ControlFlow::Continue(tfar)
+        });
+        prop_assert!(seen.len() <= all.len());
+        prop_assert!(seen.iter().all(|index| all.contains(index)));
+        let (found, best) = (nearest(&seen), nearest(&all));
+        prop_assert!(found <= best * (1.0 + 1e-5) + 1e-30, "{} {}", found, best);
+    }
+    Ok(())
+}
+
 /// The box as wide as nodes may store it: to 8 bits of the largest thing around it.
 fn grown(aabb: &Aabb, whole: &Aabb) -> Aabb {
     let room = whole.size() / 100.0 + whole.min.abs().max(whole.max.abs()) * 1e-5;
@@ -148,31 +193,9 @@ proptest! {
         }
     }
 
-    /// Ends that the visitor gives cut the walk, and the box that the segment enters first is never among what is cut.
     #[test]
     fn walks_end_where_the_visitor_says(boxes in boxes(60), ray in rays()) {
-        for quality in QUALITIES {
-            let bvh = BoxBvh::build(&boxes, quality).unwrap();
-            let entry = |index: u32| {
-                let b = &boxes[index as usize];
-                let (d, o) = (ray.direction.as_dvec3(), ray.origin.as_dvec3());
-                let ends = [(b.min.as_dvec3() - o) / d, (b.max.as_dvec3() - o) / d];
-                ends[0].min(ends[1]).max_element().max(ray.tnear.into())
-            };
-            let all = visited(&bvh, &ray, true);
-            let nearest = |some: &[u32]| some.iter().map(|&i| entry(i)).fold(f64::INFINITY, f64::min);
-            let (mut tfar, mut seen) = (ray.tfar, Vec::new());
-            let _ = bvh.walk(&ray, |index| {
-                seen.push(index);
-                // The hit is where the box starts.
-                tfar = tfar.min(entry(index).max(0.0) as f32);
-                ControlFlow::Continue(tfar)
-            });
-            prop_assert!(seen.len() <= all.len());
-            prop_assert!(seen.iter().all(|index| all.contains(index)));
-            let (found, best) = (nearest(&seen), nearest(&all));
-            prop_assert!(found <= best * (1.0 + 1e-5) + 1e-30 || found.is_nan() || best.is_nan());
-        }
+        check_ends(&boxes, &ray)?;
     }
 
     #[test]
@@ -209,6 +232,14 @@ proptest! {
     }
 }
 
+/// So many of each box.
+fn repeated(spans: &[(usize, [f32; 3], [f32; 3])]) -> Vec<Aabb> {
+    let copies = |&(count, min, max): &(usize, [f32; 3], [f32; 3])| {
+        std::iter::repeat_n(Aabb { min: min.into(), max: max.into() }, count)
+    };
+    spans.iter().flat_map(copies).collect()
+}
+
 /// Cases that a test which asked for more failed on: how many boxes a ray is given depends on which others still look.
 #[test]
 fn fans_whose_rays_end_miss_nothing() {
@@ -236,10 +267,7 @@ fn fans_whose_rays_end_miss_nothing() {
         (3, [0.0, 0.0, -0.077_063_2], [0.0; 3]),
         (3, [0.0, 0.0, 1e20], [0.0, 0.0, 1e20]),
     ];
-    let boxes: Vec<Aabb> = spans
-        .into_iter()
-        .flat_map(|(count, min, max)| std::iter::repeat_n(Aabb { min: min.into(), max: max.into() }, count))
-        .collect();
+    let boxes = repeated(&spans);
     let endless = [0.0, f32::INFINITY];
     let all = [
         ray([-0.479_019_76, 0.0, 0.0], endless),
@@ -250,6 +278,30 @@ fn fans_whose_rays_end_miss_nothing() {
     for limit in [1, 2, 3, 4, 5, usize::MAX] {
         check_fan(&boxes, &all, limit).unwrap();
     }
+}
+
+/// A case on which an earlier form of the test failed: the ray runs in the plane of a flat box.
+#[test]
+fn a_ray_in_the_plane_of_a_box_does_not_end_early() {
+    let spans: [(usize, [f32; 3], [f32; 3]); 13] = [
+        (24, [0.0; 3], [0.0; 3]),
+        (2, [0.0; 3], [0.833_767_6, 0.0, 0.483_110_3]),
+        (6, [0.0; 3], [0.0; 3]),
+        (2, [0.0; 3], [0.0, 0.0, 1e20]),
+        (12, [0.0; 3], [0.0; 3]),
+        (2, [0.0; 3], [0.0, 1e20, 0.0]),
+        (2, [0.0; 3], [0.0; 3]),
+        (2, [0.0; 3], [7e5, 0.0, 0.0]),
+        (2, [0.0; 3], [0.0; 3]),
+        (2, [0.0, 0.922_136_55, 0.25], [0.348_573_12, 0.922_136_55, 0.25]),
+        (2, [0.0; 3], [0.0; 3]),
+        (2, [-0.094_145_84, 0.0, 0.0], [0.0; 3]),
+        (4, [0.0; 3], [0.0; 3]),
+    ];
+    check_ends(&repeated(&spans), &Ray::new([0.0, -0.300_008_4, 0.25], [0.758_153_86, 0.044_859_97, 0.0]))
+        .unwrap();
+    let flat = repeated(&[(1, [1.0, -1.0, 0.25], [2.0, 1.0, 0.25]), (1, [3.0, -1.0, 0.0], [4.0, 1.0, 1.0])]);
+    check_ends(&flat, &Ray::new([0.0, 0.0, 0.25], [1.0, 0.0, 0.0])).unwrap();
 }
 
 #[test]
