@@ -24,6 +24,7 @@ pub fn generated(name: &str, triangles: usize) -> Result<TriangleMesh> {
 }
 
 /// Points on a surface that rays start from.
+#[derive(Clone, Debug)]
 pub struct Receivers {
     pub points: Vec<Vec3>,
     pub normals: Vec<Vec3>,

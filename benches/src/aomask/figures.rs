@@ -3,7 +3,7 @@
 use super::{
     Case, Options, SIDES, TABLE1, measure,
     picture::{self, Picture},
-    picture_passes,
+    picture_passes, table_pattern,
     workload::{self, Workload},
 };
 use crate::{
@@ -13,9 +13,7 @@ use crate::{
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::time::Instant;
-use umbrage_aomask::{
-    MaskOptions, Outputs, Pattern, PatternOptions, RasterOptions, Receiver, Sides, raster::simplified_levels,
-};
+use umbrage_aomask::{MaskOptions, Outputs, RasterOptions, Receiver, Sides, raster::simplified_levels};
 
 /// A part of the suite.
 type Part = fn(&Case, &Options, &mut Output) -> Result<()>;
@@ -34,10 +32,6 @@ const TABLE2: [(&str, [[f64; 2]; 2]); 6] = [
     ("+ 5. hemisphere facing", [[1.00, 1.00], [1.00, 1.00]]),
 ];
 
-fn pattern(rays: u32) -> Result<Pattern> {
-    Ok(Pattern::new(&PatternOptions::default().with_rays(rays))?)
-}
-
 /// The radii of table 1 in world units, with what rows call them.
 fn radii(case: &Case) -> Option<[(f64, f32); 2]> {
     let table = TABLE1.iter().find(|table| table.scene == case.name)?;
@@ -50,7 +44,7 @@ fn table2(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     if case.name != "sibenik" {
         return Ok(());
     }
-    let pattern = pattern(128)?;
+    let pattern = table_pattern(128)?;
     let tables = picture::tables(case, &pattern)?;
     let picture = Picture::new(case, options.quick);
     for (which, (name, radius)) in radii(case).into_iter().flatten().enumerate() {
@@ -93,7 +87,7 @@ fn figure5(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
         return Ok(());
     }
     let Some([_, (name, radius)]) = radii(case) else { return Ok(()) };
-    let pattern = pattern(1024)?;
+    let pattern = table_pattern(1024)?;
     let tables = picture::tables(case, &pattern)?;
     let picture = Picture::new(case, options.quick);
     let scene = picture::scene_level(case);
@@ -188,7 +182,7 @@ fn figure6(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     if radii(case).is_none() {
         return Ok(());
     }
-    let pattern = pattern(128)?;
+    let pattern = table_pattern(128)?;
     let tables = picture::tables(case, &pattern)?;
     let picture = Picture::new(case, options.quick);
     let diagonal = f64::from(case.mesh.bounds().diagonal());
@@ -245,7 +239,7 @@ fn coarse_levels(case: &Case) -> Result<Vec<umbrage_aomask::raster::SimplifiedLe
 /// Levels of detail against the scene's own geometry, larger radius, 128 rays.
 fn figure7(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let Some([_, (name, radius)]) = radii(case) else { return Ok(()) };
-    let pattern = pattern(128)?;
+    let pattern = table_pattern(128)?;
     let tables = picture::tables(case, &pattern)?;
     let picture = Picture::new(case, options.quick);
     let scene = picture::scene_level(case);

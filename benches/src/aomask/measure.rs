@@ -41,6 +41,18 @@ pub fn rows(
     rows_of(entries, case, workload, passes, output, extra)
 }
 
+/// Rows of `mask-table` against our own rays and those of peers, all over the one set of rays that tables have.
+pub fn table_rows(case: &Case, workload: &Workload, passes: usize, output: &mut Output) -> Result<()> {
+    let circle = Tables::build(workload, NodeMasks::Circle, &case.one)?;
+    let silhouette = Tables::build(workload, NodeMasks::Silhouette, &case.one)?;
+    let (mut entries, theirs) = single_rays(case, workload)?;
+    for tables in [&circle, &silhouette] {
+        entries.push(tables.entry(case, workload)?);
+    }
+    entries.extend(theirs);
+    rows_of(entries, case, workload, passes, output, |_| json!({ "rays_of": "tables" })).map(drop)
+}
+
 /// Entries that answer rays one by one or as batches, where both sides of triangles block or fronts only.
 type Entries<'a> = Vec<Box<dyn Entry<bool> + 'a>>;
 

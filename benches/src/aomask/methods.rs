@@ -8,7 +8,6 @@ use serde_json::{Value, json};
 use std::time::Instant;
 use umbrage_accel::Bvh;
 use umbrage_aomask::{MaskTables, NodeMasks, Outputs, Receiver, TableOptions};
-use umbrage_geom::sampling::combine;
 
 /// Masks of all receivers as answers of single rays.
 pub fn bits(masks: &[u64], words: usize, rays: usize) -> Vec<bool> {
@@ -93,7 +92,7 @@ impl Entry<bool> for TableEntry<'_> {
             .zip(normals)
             .enumerate()
             .map(|(i, (&p, &n))| {
-                Receiver::new(i, p, n, combine(options.seed, i as u32)).expect("checked before")
+                Receiver::new(i, p, n, Receiver::seed_of(p, n, options.seed)).expect("checked before")
             })
             .collect();
         let counters = self.tables.tables.count(self.bvh, &receivers, options).expect("checked before");

@@ -14,6 +14,7 @@ mod measure;
 mod methods;
 mod picture;
 mod prefilter;
+mod truth;
 mod workload;
 
 use crate::{
@@ -28,7 +29,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use umbrage_accel::BuildQuality;
-use umbrage_aomask::{Pattern, PatternOptions, Sides};
+use umbrage_aomask::{Pattern, PatternOptions, Points, Sides};
 use umbrage_geom::TriangleMesh;
 use workload::{Source, Workload};
 
@@ -49,8 +50,25 @@ pub struct Options {
 }
 
 /// Parts of the suite.
-pub const PARTS: [&str; 10] =
-    ["targets", "mask", "fans", "prefilter", "bits", "table1", "table2", "figure5", "figure6", "figure7"];
+pub const PARTS: [&str; 13] = [
+    "truth",
+    "target-error",
+    "patterns",
+    "targets",
+    "mask",
+    "fans",
+    "prefilter",
+    "bits",
+    "table1",
+    "table2",
+    "figure5",
+    "figure6",
+    "figure7",
+];
+
+/// Parts with scenes of their own, only when asked for.
+const OF_TRUTH: [(&str, fn(&Options, &mut Output) -> Result<()>); 3] =
+    [("truth", truth::truth), ("target-error", truth::target_error), ("patterns", truth::patterns)];
 
 /// Numbers of rays and radii, as fractions of the diagonal, of the targets.
 const TARGET_RAYS: [u32; 3] = [128, 256, 1024];
@@ -109,6 +127,10 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     if let Some(part) = options.part.as_ref().filter(|part| !PARTS.contains(&part.as_str())) {
         bail!("unknown part '{part}', expected one of {}", PARTS.join(", "));
     }
+    if let Some((_, run)) = OF_TRUTH.into_iter().find(|(part, _)| options.part.as_deref() == Some(part)) {
+        run(options, output)?;
+        return output.geomeans(&["part", "rays", "radius", "target", "target_rmse", "against"]);
+    }
     let wanted = |part: &str| options.part.as_ref().is_none_or(|p| p == part);
     for name in TARGET_SCENES {
         if !options.only.as_ref().is_none_or(|only| name.contains(only.as_str())) {
@@ -155,6 +177,11 @@ impl Case {
     }
 }
 
+/// The rays that all methods of tables have, and with them those that they are compared with.
+fn table_pattern(rays: u32) -> Result<Pattern> {
+    Ok(Pattern::new(&PatternOptions::default().with_points(Points::Middles).with_rays(rays))?)
+}
+
 /// The grid of the targets.
 fn targets(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     let diagonal = f64::from(case.mesh.bounds().diagonal());
@@ -163,8 +190,12 @@ fn targets(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
         for radius in TARGET_RADII {
             let params = json!({ "part": "targets", "rays": rays, "radius": radius });
             let points = workload::surface(&case.mesh, rays, options.quick);
-            let workload = Workload::new(points, &pattern, (radius * diagonal) as f32, params);
-            measure::rows(case, &workload, passes(options), output, |_| json!({}))?;
+            let length = (radius * diagonal) as f32;
+            let workload = Workload::new(points.clone(), &pattern, length, params.clone());
+            exact::rows(case, &workload, passes(options), output)?;
+            // Tables have one set of rays for all receivers.
+            let workload = Workload::new(points, &table_pattern(rays)?, length, params);
+            measure::table_rows(case, &workload, passes(options), output)?;
         }
     }
     Ok(())
@@ -192,7 +223,7 @@ fn table1(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     for (sides, side_name) in SIDES {
         for (radius, paper) in table.radii.iter().zip(table.mrays_s) {
             for (rays, paper) in [128, 1024].into_iter().zip(paper) {
-                let pattern = Pattern::new(&PatternOptions::default().with_rays(rays))?;
+                let pattern = table_pattern(rays)?;
                 let params = json!({ "part": "table1", "rays": rays, "radius": radius, "sides": side_name });
                 let points = workload::seen(case, &camera::views(case), rays, options.quick);
                 let length = (radius * unit) as f32;

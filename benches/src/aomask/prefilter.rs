@@ -15,8 +15,9 @@ use umbrage_aomask::{
     },
     exact,
 };
-use umbrage_geom::sampling::combine;
+use umbrage_geom::{Falloff, glam::Vec3};
 use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
+use umbrage_reference::Question;
 
 /// Scenes of loose geometry.
 const SCENES: [&str; 2] = ["bush", "hairball"];
@@ -47,8 +48,8 @@ const SETTINGS: [Setting; 10] = [
     Setting::Field(0.2, 256),
 ];
 
-/// Patterns of 1024 rays whose mean is the truth.
-const TRUTH: u32 = 8;
+/// Random rays of the reference for each receiver.
+const REFERENCE_RAYS: u32 = 8192;
 
 /// Prefiltered nodes beyond a distance.
 struct Nodes<'a> {
@@ -146,7 +147,7 @@ impl Stored {
     }
 }
 
-/// Rows with error against the truth.
+/// Rows with errors against the reference.
 pub fn rows(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
     if !SCENES.contains(&case.name) {
         return Ok(());
@@ -157,11 +158,20 @@ pub fn rows(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
         let points = workload::surface(&case.mesh, rays, options.quick);
         let receiver = |i: usize| {
             let (point, normal) = (points.points[i].to_array(), points.normals[i].to_array());
-            Receiver::new(i, point, normal, combine(0, i as u32))
+            Receiver::new(i, point, normal, Receiver::seed_of(point, normal, 0))
         };
         let receivers: Vec<Receiver> = (0..points.points.len()).map(receiver).collect::<Result<_, _>>()?;
         let mask_options = MaskOptions::default().with_radius(radius);
-        let truth = truth(case, &receivers, &mask_options)?;
+        let list = |v: &[Vec3]| v.iter().map(Vec3::to_array).collect::<Vec<_>>();
+        let question = Question {
+            mesh: &case.mesh,
+            depths: &[],
+            points: &list(&points.points),
+            normals: &list(&points.normals),
+            radius,
+            falloff: &Falloff::Constant,
+        };
+        let reference = question.cached(REFERENCE_RAYS, 1)?;
         let pattern = Pattern::new(&PatternOptions::default().with_rays(rays))?;
         let run = |setting| -> Result<Run<'_>> {
             let far = stored.far(setting, rays, radius)?;
@@ -172,7 +182,8 @@ pub fn rows(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
         let mut timed: Vec<&mut dyn Timed> = runs.iter_mut().map(|run| run as &mut dyn Timed).collect();
         let times = alternate(passes(options), &mut timed);
         for ((run, own), setting) in runs.iter().zip(&times).zip(SETTINGS) {
-            let (rmse, bias) = errors(&run.ao, &truth);
+            let ao = || run.ao.iter().map(|&x| f64::from(x));
+            let (rmse, bias) = (reference.rmse(ao()), reference.bias(ao()));
             let time_s = median(own);
             let mut params = json!({ "part": "prefilter", "rays": rays, "radius": RADIUS });
             let (extra_s, bytes) = match setting {
@@ -199,34 +210,15 @@ pub fn rows(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
                 rmse,
                 bias,
                 bytes,
-                counters: json!({ "receivers": receivers.len() }),
+                counters: json!({
+                    "receivers": receivers.len(),
+                    "reference_standard_error": reference.standard_error(),
+                    "reference_standard_error_of_mean": reference.standard_error_of_mean(),
+                }),
                 baseline: "mask",
                 speedup: paired_speedup(&times[0], own),
             })?;
         }
     }
     Ok(())
-}
-
-/// RMS error and bias.
-fn errors(ao: &[f32], truth: &[f64]) -> (f64, f64) {
-    let (mut squares, mut sum) = (0.0, 0.0);
-    for (&ao, truth) in ao.iter().zip(truth) {
-        let error = f64::from(ao) - truth;
-        squares += error * error;
-        sum += error;
-    }
-    ((squares / ao.len() as f64).sqrt(), sum / ao.len() as f64)
-}
-
-fn truth(case: &Case, receivers: &[Receiver], options: &MaskOptions) -> Result<Vec<f64>> {
-    let mut sums = vec![0.0; receivers.len()];
-    for seed in 1..=TRUTH {
-        let pattern = PatternOptions::default().with_rays(1024).with_jitter(1.0, 0.2).with_seed(seed);
-        let (pattern, mut ao) = (Pattern::new(&pattern)?, vec![0.0; receivers.len()]);
-        let (bvh, best, outputs) = (case.ours.bvh(), BackEnd::best(), Outputs::new(&mut ao));
-        exact::answer_receivers(bvh, &pattern, receivers, options, best, outputs, &mut |_| true)?;
-        sums.iter_mut().zip(ao).for_each(|(sum, ao)| *sum += f64::from(ao) / f64::from(TRUTH));
-    }
-    Ok(sums)
 }

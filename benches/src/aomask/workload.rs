@@ -6,7 +6,7 @@ use anyhow::Result;
 use serde_json::Value;
 use std::path::PathBuf;
 use umbrage_aomask::{MaskOptions, Pattern, Receiver, Sides};
-use umbrage_geom::{Ray, TriangleMesh, glam::Vec3, morton, offset_origin, sampling::combine};
+use umbrage_geom::{Ray, TriangleMesh, glam::Vec3, morton, offset_origin};
 
 /// Receivers that stay together: neighbours, as in a bake of the whole scene.
 const RUN: usize = 32;
@@ -67,7 +67,8 @@ impl Workload {
         let (points, normals) = (list(&receivers.points), list(&receivers.normals));
         let mut rays = Vec::with_capacity(points.len() * pattern.len());
         for (i, (&point, &normal)) in points.iter().zip(&normals).enumerate() {
-            let receiver = Receiver::new(i, point, normal, combine(options.seed, i as u32));
+            let seed = Receiver::seed_of(point, normal, options.seed);
+            let receiver = Receiver::new(i, point, normal, seed);
             rays.extend(pattern.rays_of(&receiver.expect("points of a mesh with area"), radius));
         }
         Self { points, normals, pattern: pattern.clone(), options, rays, params }

@@ -560,7 +560,7 @@ impl<'a> Query<'a> {
 
     /// Stops at the first occluder whose front the ray meets. Scenes need [`Feature::Filter`].
     pub fn front_hit(coherent: bool) -> Self {
-        let mut query = Self::any_hit(coherent);
+        let mut query = Self::plain(coherent);
         query.context.filter = Some(let_backs_pass);
         query
     }

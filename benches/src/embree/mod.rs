@@ -182,7 +182,7 @@ struct Occluded<'a> {
 
 /// What a call asks.
 fn query(coherent: bool, fronts: bool) -> Query<'static> {
-    if fronts { Query::front_hit(coherent) } else { Query::any_hit(coherent) }
+    if fronts { Query::front_hit(coherent) } else { Query::plain(coherent) }
 }
 
 impl Entry<bool> for Occluded<'_> {

@@ -10,9 +10,9 @@ use umbrage_occlusion::volumetric::{
     Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
     SolidBvhOptions, SolidCounters, Solids, Statistics,
 };
-use umbrage_render::{
-    geometry::Geometry,
-    method::{LightRay, Method, shadow_method},
+use umbrage_render::query::{
+    Engine, Occluders,
+    engine::{self, LightRay},
 };
 
 /// Orders under their names.
@@ -142,7 +142,7 @@ pub enum Kind<'a> {
     /// Order, and how occluders are used.
     Kd(&'a KdVolumetric, Order, Use),
     /// A method of the renderer.
-    Renderer(&'a dyn Method),
+    Renderer(&'a dyn Engine),
 }
 
 /// How a kd-tree's occluders are used.
@@ -165,13 +165,14 @@ pub struct Caster<'a> {
 }
 
 /// Methods of the renderer that walk a kd-tree, with the suite's names.
-pub fn of_renderer<'a>(geometry: &'a Geometry, rays: &ShadowRays) -> Result<Vec<Named<'a>>> {
-    let method = |(name, ours)| Ok((ours, shadow_method(name, geometry, rays)?.method));
+pub fn of_renderer(occluders: &Occluders) -> Result<Vec<Named<'_>>> {
+    let method =
+        |(name, ours): (&str, _)| Ok((ours, engine::shadows(name.parse()?, occluders, &mut |_| true)?));
     OF_RENDERER.into_iter().map(method).collect()
 }
 
 /// A method of the renderer, and what rows call it.
-pub type Named<'a> = (&'static str, Box<dyn Method + 'a>);
+pub type Named<'a> = (&'static str, Box<dyn Engine + 'a>);
 
 /// The casters that walk a kd-tree, by our calls and the renderer's.
 pub fn kd_casters<'a>(s: &'a Structures, renderer: &'a [Named<'a>]) -> Vec<Caster<'a>> {
@@ -389,7 +390,7 @@ impl Caster<'_> {
 
 /// Answers every ray as the integrator asks: a receiver and a light at a time.
 fn run_method(
-    method: &dyn Method,
+    method: &dyn Engine,
     shadows: &Shadows,
     hits: &mut [bool],
     mut counters: Option<&mut umbrage_accel::Counters>,
@@ -402,7 +403,9 @@ fn run_method(
         rays.extend(shadows.rays[range.clone()].iter().map(|&ray| LightRay { ray, solid_angle: 0.0 }));
         passed.clear();
         passed.resize(rays.len(), 1.0);
-        method.transmittances(&rays, Some(fan.light as usize), &mut passed, counters.as_deref_mut());
+        let light = Some(fan.light as usize);
+        let answered = method.transmittances(&rays, light, &mut passed, counters.as_deref_mut());
+        answered.expect("shadow methods answer rays");
         hits[range].iter_mut().zip(&passed).for_each(|(hit, &passed)| *hit = passed == 0.0);
     }
 }

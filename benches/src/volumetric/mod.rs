@@ -23,7 +23,6 @@ use serde_json::json;
 use std::path::PathBuf;
 use umbrage_accel::brute;
 use umbrage_geom::Ray;
-use umbrage_occlusion::volumetric::ShadowRays;
 
 /// What to run.
 #[derive(Clone, Debug)]
@@ -133,9 +132,8 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
     let shadows = part(0);
     let case = Case { scene, shadows: &shadows, structures: &structures };
     let part_wanted = |part: &str| options.part.as_ref().is_none_or(|wanted| wanted == part);
-    let geometry = scene.geometry()?;
-    let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
-    let renderer = of_renderer(&geometry, &ShadowRays { lights: &lights, count, together: fans })?;
+    let occluders = scene.occluders()?;
+    let renderer = of_renderer(&occluders)?;
     let mut casters = Vec::new();
     if part_wanted("wide") {
         casters.extend(wide_casters(&structures));

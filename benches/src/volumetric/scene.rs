@@ -11,7 +11,7 @@ use umbrage_geom::{
     sampling::RandomStream,
 };
 use umbrage_occlusion::volumetric::Object;
-use umbrage_render::geometry::Geometry;
+use umbrage_render::query::Occluders;
 use umbrage_scene::{Camera, Instance, Material, NamedMesh, Settings};
 
 /// A mesh with what casts light on it.
@@ -233,7 +233,7 @@ impl Shadows {
 
 impl Scene {
     /// What the renderer traces.
-    pub fn geometry(&self) -> Result<Geometry> {
+    pub fn occluders(&self) -> Result<Occluders> {
         let mut mesh = self.mesh.clone();
         let object =
             |o: &Object| MeshObject { name: String::new(), triangles: o.triangles.clone(), opacity: 1.0 };
@@ -253,7 +253,7 @@ impl Scene {
             lens_radius: 0.0,
             focus_distance: None,
         };
-        Ok(Geometry::build(&umbrage_scene::Scene {
+        let scene = umbrage_scene::Scene {
             camera,
             meshes: vec![NamedMesh::new(self.name.clone(), mesh)],
             instances: vec![instance],
@@ -262,7 +262,8 @@ impl Scene {
             ambient: None,
             background: [0.0; 3],
             settings: Settings::default(),
-        })?)
+        };
+        Ok(Occluders::of_scene(&scene, &mut |_| true)?)
     }
 
     /// Shadow rays of an image of `side` x `side` pixels, `per_light` to each light that the surface faces; of tiles of

@@ -94,11 +94,6 @@ impl Width {
         }
     }
 
-    /// At parameter `t`; NaN for a NaN differential.
-    pub(crate) fn at(&self, t: f64) -> f64 {
-        self.least(t, t)
-    }
-
     /// The smallest width between two parameters: at entry if the ray diverges, at exit if it converges, or between.
     pub(crate) fn least(&self, from: f64, to: f64) -> f64 {
         let mut least = f64::INFINITY;

@@ -148,6 +148,12 @@ impl Sky {
         Self { sides, ..self }
     }
 
+    /// Sets [`Self::target_error`].
+    #[must_use]
+    pub fn with_target_error(self, target_error: Option<f32>) -> Self {
+        Self { target_error, ..self }
+    }
+
     /// Sets [`Self::view`].
     #[must_use]
     pub fn with_view(self, view: View) -> Self {
