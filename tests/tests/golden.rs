@@ -8,13 +8,11 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use umbrage_render::{
-    compare::{CompareOptions, DifferencePicture, write_difference},
-    image::{Film, read_exr, write_exr},
-    query::Occluders,
-    render::{RenderOptions, render},
-    subdivide,
-};
+use umbrage_image::compare::{CompareOptions, DifferencePicture, write_difference};
+use umbrage_image::{Film, read_exr, write_exr};
+use umbrage_query::Occluders;
+use umbrage_query::subdivide;
+use umbrage_render::{RenderOptions, render};
 use umbrage_scene::{Scene, mesh_file::read_polygons};
 
 fn folder() -> PathBuf {

@@ -1,13 +1,11 @@
 //! Real models, where the folder `../shared/meshes` (or `UMBRAGE_MESHES`) exists; a clear word where it doesn't.
 
 use std::path::PathBuf;
+use umbrage::inspect::inspect_mesh;
 use umbrage_accel::{BuildOptions, Bvh, brute};
+use umbrage_bake::{BakeOptions, NormalSource, Receivers, Shard, bake};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3, sampling::RandomStream, sampling::uniform_sphere};
-use umbrage_render::{
-    bake::{BakeOptions, NormalSource, Receivers, Shard, bake},
-    inspect::inspect_mesh,
-    query::{Ground, Occluders},
-};
+use umbrage_query::{Ground, Occluders};
 use umbrage_scene::{Radius, read_mesh};
 
 fn mesh(name: &str) -> Option<TriangleMesh> {

@@ -1,15 +1,15 @@
 //! Bakes ambient occlusion on to a mesh and writes it as a PLY with vertex colours.
 //!
 //! ```sh
-//! cargo run --release -p umbrage-render --example bake_mesh -- bunny.obj bunny-ao.ply
+//! cargo run --release -p umbrage-bake --example bake_mesh -- bunny.obj bunny-ao.ply
 //! ```
 //! Without arguments it bakes a generated dragon and writes nothing.
 
-use umbrage_render::{
-    bake::{BakeOptions, NormalSource, Receivers, Shard, bake},
+use umbrage_bake::{
+    BakeOptions, NormalSource, Receivers, Shard, bake,
     baked::{Baked, Surface},
-    query::{Ground, Occluders},
 };
+use umbrage_query::{Ground, Occluders};
 use umbrage_scene::{
     Radius,
     generate::{Parameters, generate},

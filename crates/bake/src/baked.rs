@@ -3,14 +3,12 @@
 //! A part is a PLY that says in a comment what it belongs to; receivers of other shards have `ao` -1. Of texels it holds
 //! column and row as x and y.
 
-use crate::{
-    bake::TexelImage,
-    image::{
-        Film, Format, GREY, ImageError, ShardError, ShardSpec, ValueRange, XYZ, names, write_exr, write_grey,
-    },
-};
+use crate::TexelImage;
 use std::path::{Path, PathBuf};
 use umbrage_geom::TriangleMesh;
+use umbrage_image::{
+    Film, Format, GREY, ImageError, ShardError, ShardSpec, ValueRange, XYZ, names, write_exr, write_grey,
+};
 use umbrage_scene::{
     MeshFileError, PlyVertices, VertexAttributes, WriteMeshError, read_ply_vertices, write_obj, write_ply,
     write_ply_points,
@@ -268,7 +266,7 @@ impl Header {
             "texels" => {
                 let inside =
                     |p: &[f32; 3]| p[0] >= 0.0 && p[1] >= 0.0 && p[0] < width as f32 && p[1] < height as f32;
-                let fits = u64::from(width.max(height)) <= u64::from(crate::bake::TexelMap::MAX_SIZE);
+                let fits = u64::from(width.max(height)) <= u64::from(crate::TexelMap::MAX_SIZE);
                 let at = ply.positions.iter().map(|p| [p[0] as u32, p[1] as u32]).collect();
                 (fits && ply.positions.iter().all(inside)).then_some(Surface::Texels {
                     width,

@@ -1,7 +1,7 @@
 //! Why baking failed.
 
-use crate::query::QueryError;
 use umbrage_geom::{FalloffError, MeshError};
+use umbrage_query::QueryError;
 
 /// Why occlusion could not be baked. Nothing has been written to the caller's slices.
 #[derive(Debug, thiserror::Error)]

@@ -9,10 +9,10 @@ use super::{
     lobes::{self, Asked},
     receivers::check_count,
 };
-use crate::query::{Engine, LightRay, Occluders, Sky};
 use rayon::prelude::*;
 use umbrage_aomask::Pattern;
 use umbrage_geom::{Progress, morton};
+use umbrage_query::{Engine, LightRay, Occluders, Sky};
 
 /// Receivers that are computed together; they are neighbours in Morton order.
 const BLOCK: usize = 64;

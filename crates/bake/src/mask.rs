@@ -5,11 +5,11 @@ use super::{
     integrate::shard_of,
     lobes::{self, Asked},
 };
-use crate::query::{Engine, QueryError};
 use std::io::{self, Write};
 use umbrage_aomask::{Outputs, Pattern, Receiver, exact::adaptive::Spent};
+use umbrage_query::{Engine, QueryError};
 
-/// [`super::bake`] by an engine that answers receivers.
+/// [`crate::bake`] by an engine that answers receivers.
 pub(super) fn bake_receivers(
     engine: &dyn Engine,
     radius: f32,

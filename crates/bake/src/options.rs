@@ -1,9 +1,9 @@
 //! What can be chosen when occlusion is baked.
 
 use super::BakeError;
-use crate::query::{AoMethod, Sky};
 use umbrage_aomask::{PatternOptions, Points, Sides};
 use umbrage_geom::Falloff;
+use umbrage_query::{AoMethod, Sky};
 use umbrage_scene::Radius;
 
 /// Settings of a bake. Start from the default: method `rays`, 256 rays, no radius, constant falloff, both sides, seed 0.
@@ -159,7 +159,10 @@ impl BakeOptions {
             Jitter::Off => pattern.fixed(),
         };
         let sky = Sky::new(pattern, self.radius.resolve(diagonal)).with_sides(self.sides);
-        Sky { target_error: self.target_error, ..sky }
+        match self.target_error {
+            Some(target) => sky.with_target_error(target),
+            None => sky,
+        }
     }
 
     /// Checks everything that doesn't depend on receivers or occluders.

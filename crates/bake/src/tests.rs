@@ -4,7 +4,6 @@ mod masks;
 mod texels;
 
 use super::*;
-use crate::query::{AoMethod, Ground};
 use proptest::prelude::*;
 use umbrage_accel::{BuildOptions, Bvh};
 use umbrage_aomask::Sides;
@@ -13,6 +12,7 @@ use umbrage_geom::{
     glam::{Affine3A, Quat, Vec2, Vec3},
     sampling::{RandomStream, cosine_hemisphere, sobol_2d, uniform_sphere},
 };
+use umbrage_query::{AoMethod, Ground};
 use umbrage_scene::Radius;
 
 /// [`bake`] of plain points and normals.

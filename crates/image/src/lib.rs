@@ -1,12 +1,12 @@
-//! Images: layers of 32-bit floats, the files they are written to and read from, and shards of them.
-//!
-//! Here: [`Film`], EXR and PNG files, heat maps, part files and their merging. Not here: how pixels are computed, how
-//! two images are compared ([`crate::compare`]).
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
 
 pub mod color;
+pub mod compare;
 mod error;
 mod file;
 mod film;
+mod fingerprint;
 mod openexr;
 mod png;
 mod shard;
@@ -15,6 +15,7 @@ pub use color::ColorMap;
 pub use error::ImageError;
 pub use file::{Format, check_part_writable, check_writable, read, write};
 pub use film::{Film, GREY, Layer, MAX_PIXELS, MAX_SIDE, RGB, XYZ, Z, names};
+pub use fingerprint::Fingerprint;
 pub use openexr::{encode_exr, read_exr, write_exr};
 pub use png::{ValueRange, encode_png, read_png, write_grey, write_heat_map, write_picture, write_png};
 pub use shard::{Merged, Part, ShardError, ShardSpec, Tile, TileGrid, merge, read_part, write_part};

@@ -1,7 +1,7 @@
 //! Comparing images: known differences, values that are no numbers, stable JSON, difference pictures.
 
-use umbrage_render::compare::*;
-use umbrage_render::image::*;
+use umbrage_image::compare::*;
+use umbrage_image::*;
 
 fn film(beauty: Vec<f32>, depth: Vec<f32>) -> Film {
     let mut film = Film::new(4, 2).unwrap();

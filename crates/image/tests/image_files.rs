@@ -4,7 +4,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use umbrage_render::image::*;
+use umbrage_image::*;
 
 /// All layers of a rendering, with the values that files tend to lose.
 fn film(width: u32, height: u32) -> Film {

@@ -3,7 +3,7 @@
 //! A picture's rates are those of its camera, so shadows and ambient rays see the surface that the camera sees. A bake of a bare
 //! mesh has no camera and divides all faces alike.
 
-use crate::query::QueryError;
+use crate::QueryError;
 use std::sync::Arc;
 use umbrage_geom::{PolygonMesh, TriangleMesh, glam::Vec3};
 use umbrage_reyes::{EyeRates, RatedSurface, Surface, SurfaceError, SurfaceOptions};

@@ -1,6 +1,6 @@
 //! Why rendering failed.
 
-use crate::query::QueryError;
+use umbrage_query::QueryError;
 
 /// Why a picture could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -24,7 +24,7 @@ pub enum RenderError {
     TargetError(&'static str),
     /// The image or the shard is impossible.
     #[error(transparent)]
-    Image(#[from] crate::image::ImageError),
+    Image(#[from] umbrage_image::ImageError),
     /// The progress callback returned `false`.
     #[error("cancelled")]
     Cancelled,

@@ -1,10 +1,6 @@
 //! What one pixel shows: direct light with soft shadows, and a sky dimmed by ambient occlusion.
 
-use crate::{
-    camera::Camera,
-    light::Light,
-    query::{Answers, Engine, LightRay, Occluders, QueryError, Surface},
-};
+use crate::{camera::Camera, light::Light};
 use umbrage_accel::Counters;
 use umbrage_aomask::{Outputs, Pattern, Receiver};
 use umbrage_geom::{
@@ -13,6 +9,7 @@ use umbrage_geom::{
     offset_origin,
     sampling::{combine, concentric_disc, pixel_seed, sobol_2d, sobol_4d, unit},
 };
+use umbrage_query::{Answers, Engine, LightRay, Occluders, QueryError, Surface};
 
 /// Semi-transparent surfaces that a camera ray may pass before it gives up.
 const MOST_LAYERS: u32 = 1000;

@@ -1,24 +1,17 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
-pub mod bake;
-pub mod baked;
-pub mod camera;
-pub mod cli;
-pub mod compare;
+mod camera;
 mod error;
-mod far;
-pub mod fingerprint;
-pub mod image;
-pub mod inspect;
 mod integrator;
-pub mod light;
-pub mod query;
+mod light;
+mod picture;
 mod raster_sky;
-pub mod render;
-pub mod subdivide;
 mod target;
 
+pub use camera::Camera;
 pub use error::RenderError;
 pub use integrator::{NO_DEPTH, RayCounts};
+pub use light::{Incoming, Light};
+pub use picture::{MAX_SAMPLES, MethodUsed, RenderOptions, Rendered, TILE, check_settings, render};
 pub use target::Samples;

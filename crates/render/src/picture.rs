@@ -3,13 +3,8 @@
 use crate::{
     RenderError,
     camera::Camera,
-    image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names},
     integrator::{Integrator, Pixel, RayCounts, Scratch, Sky},
     light::Light,
-    query::{
-        AoMethod, Engine, Exactness, Occluders, QueryError, SceneKind, Selection, ShadowMethod,
-        Sky as SkyQuery, plan,
-    },
     raster_sky,
     target::{self, Samples},
 };
@@ -18,7 +13,12 @@ use std::sync::Mutex;
 use umbrage_accel::Counters;
 use umbrage_aomask::{Pattern, PatternOptions};
 use umbrage_geom::{Progress, glam::Vec3};
+use umbrage_image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names};
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
+use umbrage_query::{
+    AoMethod, Engine, Exactness, Occluders, QueryError, SceneKind, Selection, ShadowMethod, Sky as SkyQuery,
+    plan,
+};
 use umbrage_scene::{Scene, Settings};
 
 /// Pixels along each side of a tile, the unit of parallel work and of shards.
@@ -154,7 +154,7 @@ pub fn render(
     let mut settings = scene.settings.clone();
     check_settings(&settings)?;
     let grid = TileGrid::new(settings.width, settings.height, TILE)?;
-    let tiles: Vec<u32> = options.shard.tiles(&grid).map_err(crate::image::ImageError::from)?.collect();
+    let tiles: Vec<u32> = options.shard.tiles(&grid).map_err(umbrage_image::ImageError::from)?.collect();
     let lights: Vec<Light> = scene.lights.iter().map(Light::new).collect();
     let samples = match options.target_error {
         Some(target) => {

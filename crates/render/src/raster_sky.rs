@@ -3,11 +3,11 @@
 use crate::{
     RenderError,
     integrator::{Integrator, Scratch},
-    query::{Answers, Engine, QueryError, engine::Report},
 };
 use rayon::prelude::*;
 use umbrage_aomask::{Outputs, RasterView};
 use umbrage_geom::{glam::Vec3, sampling::combine};
+use umbrage_query::{Answers, Engine, QueryError, engine::Report};
 
 /// Camera samples may lie anywhere in their pixel.
 const FOOTPRINT: f32 = 0.71;

@@ -1,11 +1,9 @@
 //! Pictures whose values are known in closed form, and the same bits for any threads and shards.
 
 use umbrage_geom::{TriangleMesh, glam::Affine3A};
-use umbrage_render::{
-    image::{Film, ShardSpec},
-    query::Occluders,
-    render::{RenderOptions, render},
-};
+use umbrage_image::{Film, ShardSpec};
+use umbrage_query::Occluders;
+use umbrage_render::{RenderOptions, render};
 use umbrage_scene::{
     Ambient, Camera, Instance, Light, Material, NamedMesh, Radius, Scene, Settings,
     generate::{Parameters, generate},
@@ -187,7 +185,7 @@ fn threads_and_shards_do_not_change_a_bit() {
     };
     let whole = with(1, ShardSpec::WHOLE);
     assert!(whole.same_bits(&with(2, ShardSpec::WHOLE)));
-    let grid = umbrage_render::image::TileGrid::new(100, 70, umbrage_render::render::TILE).unwrap();
+    let grid = umbrage_image::TileGrid::new(100, 70, umbrage_render::TILE).unwrap();
     let mut joined = with(1, "1/3".parse().unwrap());
     for shard in ["2/3", "3/3"] {
         let shard: ShardSpec = shard.parse().unwrap();

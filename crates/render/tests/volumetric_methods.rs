@@ -1,11 +1,8 @@
 //! Methods that end rays inside of solids change no picture.
 
 use umbrage_geom::{MeshObject, TriangleMesh, glam::Affine3A};
-use umbrage_render::{
-    RenderError,
-    query::{Exactness, Occluders, QueryError, ShadowMethod},
-    render::{RenderOptions, render},
-};
+use umbrage_query::{Exactness, Occluders, QueryError, ShadowMethod};
+use umbrage_render::{RenderError, RenderOptions, render};
 use umbrage_scene::{
     Camera, Instance, Light, Material, NamedMesh, Scene, Settings,
     generate::{Parameters, generate},

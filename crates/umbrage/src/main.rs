@@ -1,7 +1,9 @@
 //! The `umbrage` program.
 
+mod cli;
+
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    umbrage_render::cli::run()
+    cli::run()
 }

@@ -6,7 +6,7 @@ use std::{
     process::{Command, Output},
 };
 use tempfile::TempDir;
-use umbrage_scene::mesh_file::read_ply_vertices;
+use umbrage::scene::mesh_file::read_ply_vertices;
 
 const SCENE: &str = r#"
 [image]
@@ -199,7 +199,7 @@ fn comparing_reports_errors_and_thresholds() {
 
 /// The `ao` values of a baked PLY.
 fn ao(path: &Path) -> Vec<f32> {
-    umbrage_scene::read_ply_vertices(path).unwrap().ao
+    umbrage::scene::read_ply_vertices(path).unwrap().ao
 }
 
 #[test]
@@ -232,7 +232,7 @@ fn bakes_reach_every_kind_of_output() {
     // A tetrahedron is convex: nothing is occluded, but for the ground.
     folder.ok("bake mesh.obj -o mesh.ply");
     assert_eq!(ao(&folder.path("mesh.ply")), [1.0; 4]);
-    let mesh = umbrage_scene::read_mesh(&folder.path("mesh.ply")).unwrap();
+    let mesh = umbrage::scene::read_mesh(&folder.path("mesh.ply")).unwrap();
     assert_eq!(mesh.vertex_colors, vec![[1.0; 3]; 4]);
     folder.ok("bake mesh.obj -o ground.ply --ground --normals geometric");
     assert!(ao(&folder.path("ground.ply")).iter().all(|&v| v < 1.0));
@@ -331,7 +331,7 @@ fn scene_files_have_surfaces() {
     folder.ok("render surface.toml -o b.exr --size 96x96 --stats b.json");
     assert!(triangles("b.json") > 3 * triangles("a.json") && triangles("a.json") > 300);
     // The front is seen from here and black; the ground would be, were it not behind.
-    let film = umbrage_render::image::read_exr(&folder.path("a.exr")).unwrap();
+    let film = umbrage::image::read_exr(&folder.path("a.exr")).unwrap();
     let (beauty, depth) = (film.require("beauty").unwrap(), film.require("depth").unwrap());
     let seen: Vec<f32> =
         (0..film.pixels()).filter(|&i| depth.pixel(i)[0] < 1e9).map(|i| beauty.pixel(i)[0]).collect();

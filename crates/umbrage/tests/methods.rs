@@ -2,8 +2,8 @@
 
 use std::{fs, path::PathBuf, process::Command};
 use tempfile::TempDir;
-use umbrage_render::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, View};
-use umbrage_scene::Scene;
+use umbrage::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, View};
+use umbrage::scene::Scene;
 
 const VIEW: &str = r#"
 [image]

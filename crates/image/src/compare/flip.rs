@@ -201,7 +201,7 @@ fn redistribute(error: f32, largest: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::color::srgb_to_linear;
+    use crate::color::srgb_to_linear;
 
     const SIZE: (usize, usize) = (96, 64);
 

@@ -4,7 +4,7 @@ mod flip;
 
 pub use flip::{PIXELS_PER_DEGREE, flip};
 
-use crate::image::{self, ColorMap, Film, Format, ImageError, Layer, ValueRange, names, write_picture};
+use crate::{ColorMap, Film, Format, ImageError, Layer, ValueRange, names, write_picture};
 use serde::Serialize;
 use std::{
     fmt,
@@ -206,7 +206,7 @@ pub fn read_two(a: &Path, b: &Path) -> Result<[Film; 2], CompareError> {
     if Format::of(a)? != Format::of(b)? {
         return Err(CompareError::Formats { a: a.into(), b: b.into() });
     }
-    Ok([image::read(a)?, image::read(b)?])
+    Ok([crate::read(a)?, crate::read(b)?])
 }
 
 /// What a difference picture shows.

@@ -1,7 +1,7 @@
 //! Methods `kd` and `kd-volumetric`: rays through a kd-tree, whose opaque cells inside solids may end them. Exact.
 
 use super::{Engine, LightRay, Report, one_mesh};
-use crate::query::{Occluders, QueryError, ShadowMethod};
+use crate::{Occluders, QueryError, ShadowMethod};
 use std::sync::{Arc, Mutex};
 use umbrage_accel::{Counters, kdtree::Order};
 use umbrage_geom::Ray;

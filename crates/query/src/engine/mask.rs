@@ -1,7 +1,7 @@
 //! Method `mask`: all rays of a receiver walk the hierarchy together. Exact.
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
-use crate::query::{AoMethod, Occluders, QueryError};
+use crate::{AoMethod, Occluders, QueryError};
 use umbrage_accel::Bvh;
 use umbrage_aomask::{
     BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides,

@@ -1,10 +1,7 @@
 //! Method `mask-prefilter`: masks for what is near, stored opacity for what is far. Approximate.
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
-use crate::{
-    far::FarOpacity,
-    query::{AoMethod, Occluders, QueryError},
-};
+use crate::{AoMethod, Occluders, QueryError, far::FarOpacity};
 use std::sync::Arc;
 use umbrage_accel::Bvh;
 use umbrage_aomask::{

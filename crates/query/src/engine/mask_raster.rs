@@ -1,7 +1,7 @@
 //! Method `mask-raster`: masks of triangles from tables, for all pixels that a triangle may occlude. Approximate.
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
-use crate::query::{AoMethod, Occluders, QueryError};
+use crate::{AoMethod, Occluders, QueryError};
 use umbrage_aomask::{MaskOptions, MaskTables, Outputs, RasterLevel, RasterOptions, RasterView, rasterize};
 use umbrage_geom::TriangleMesh;
 

@@ -1,7 +1,7 @@
 //! Method `mask-table`: masks of triangles from tables. Approximate.
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
-use crate::query::{AoMethod, Occluders, QueryError};
+use crate::{AoMethod, Occluders, QueryError};
 use umbrage_accel::Bvh;
 use umbrage_aomask::{MaskOptions, MaskTables, Outputs, Pattern, Receiver, exact::adaptive::Spent};
 

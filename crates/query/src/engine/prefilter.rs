@@ -1,7 +1,7 @@
 //! Method `prefilter`: rays end at prefiltered nodes that fit inside their cones. Approximate.
 
 use super::{Engine, LightRay, Report};
-use crate::query::{AoMethod, Occluders, QueryError};
+use crate::{AoMethod, Occluders, QueryError};
 use std::sync::Arc;
 use umbrage_accel::{Counters, Statistics};
 use umbrage_geom::Ray;

@@ -1,7 +1,7 @@
 //! Methods `bvh` and `rays`: exact rays through the wide BVH, or through two levels.
 
 use super::{Engine, LightRay};
-use crate::query::{Occluders, QueryError};
+use crate::{Occluders, QueryError};
 use umbrage_accel::Counters;
 use umbrage_aomask::Sides;
 use umbrage_geom::Ray;

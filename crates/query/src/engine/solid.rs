@@ -3,7 +3,7 @@
 //! Each object gets its boxes when the first ray comes near it (Djeu11, section 4.8.5); instances share those of their mesh.
 
 use super::{Engine, LightRay, one_mesh};
-use crate::query::{Occluders, QueryError, ShadowMethod, Structure, occluders::solids};
+use crate::{Occluders, QueryError, ShadowMethod, Structure, occluders::solids};
 use std::sync::{Arc, Mutex};
 use umbrage_accel::{Bvh, Counters};
 use umbrage_geom::{Ray, TriangleMesh};

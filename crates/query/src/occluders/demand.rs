@@ -1,10 +1,7 @@
 //! Structures that are made when a method asks for them, and the list of what was made.
 
 use super::{Occluders, PrefilteredParts as Parts};
-use crate::{
-    far::FarOpacity,
-    query::{QueryError, engine::Report},
-};
+use crate::{QueryError, engine::Report, far::FarOpacity};
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard},

@@ -1,19 +1,18 @@
 //! `umbrage bake`
 
 use super::{Interrupted, is_mesh, methods, progress::Bar, thread_pool};
-use crate::{
+use anyhow::{Context, Result, ensure};
+use serde_json::json;
+use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
+use umbrage::{
+    bake::baked::{Baked, Surface, check_part_extension},
     bake::{
         BakeError, BakeExtras, BakeOptions, NormalSource, Receivers, Shard, TexelMap, VAxis, bake_with,
         blocks,
     },
-    baked::{Baked, Surface, check_part_extension},
-    fingerprint::Fingerprint,
-    image::{ShardError, ShardSpec},
+    image::{Fingerprint, ShardError, ShardSpec},
     query::{AoMethod, Ground, Occluders, SceneKind, Selection, View, engine, plan},
 };
-use anyhow::{Context, Result, ensure};
-use serde_json::json;
-use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
 use umbrage_aomask::Sides;
 use umbrage_aomask::exact::adaptive::Spent;
 use umbrage_geom::{Falloff, TriangleMesh};
@@ -180,7 +179,10 @@ impl BakeArguments {
             .with_sides(sides)
             .with_bias(self.bias)
             .with_seed(self.seed);
-        BakeOptions { target_error: self.target_error, ..options }
+        match self.target_error {
+            Some(target) => options.with_target_error(target),
+            None => options,
+        }
     }
 
     fn normal_source(&self) -> NormalSource {
@@ -250,12 +252,13 @@ fn read(arguments: &BakeArguments) -> Result<Input> {
     let mesh = if let Some(level) = arguments.subdivide {
         let control = umbrage_scene::mesh_file::read_polygons(&arguments.mesh)?;
         let source = || arguments.mesh.display().to_string();
-        crate::subdivide::mesh_at_level(&control, level).with_context(source)?
+        umbrage::query::subdivide::mesh_at_level(&control, level).with_context(source)?
     } else if is_mesh(&arguments.mesh) {
         read_mesh(&arguments.mesh)?
     } else {
         let mut scene = Scene::load(&arguments.mesh)?;
-        crate::subdivide::refine(&mut scene).with_context(|| arguments.mesh.display().to_string())?;
+        umbrage::query::subdivide::refine(&mut scene)
+            .with_context(|| arguments.mesh.display().to_string())?;
         scene.flatten()
     };
     let occluders = arguments.occluder.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;

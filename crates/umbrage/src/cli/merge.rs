@@ -1,9 +1,9 @@
 //! `umbrage merge`
 
 use super::is_mesh;
-use crate::{baked, image};
 use anyhow::Result;
 use std::{path::PathBuf, process::ExitCode};
+use umbrage::{bake::baked, image};
 
 /// Joins the parts that `--shard` made, of a picture or of a bake, in any order.
 ///

@@ -1,7 +1,7 @@
 //! Names of methods as arguments, with what there is to say of each in the help.
 
-use crate::query::{Exactness, Method, Selection};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use umbrage::query::{Exactness, Method, Selection};
 
 /// Reads a method or `auto`; the possible values are the one list of methods.
 pub fn parser<M: Method + Send + Sync>() -> impl TypedValueParser<Value = Selection<M>> {

@@ -1,14 +1,6 @@
 //! `umbrage render`
 
 use super::{Interrupted, is_mesh, methods, progress::Bar, thread_pool};
-use crate::{
-    RenderError,
-    fingerprint::Fingerprint,
-    image::{self, ColorMap, Part, ShardSpec, names},
-    query::{AoMethod, Made, Occluders, Selection, ShadowMethod},
-    render::{MethodUsed, RenderOptions, Rendered, TILE, check_settings, render},
-    subdivide,
-};
 use anyhow::{Context, Result};
 use serde_json::json;
 use std::{
@@ -16,6 +8,11 @@ use std::{
     process::ExitCode,
     str::FromStr,
     time::Instant,
+};
+use umbrage::{
+    image::{self, ColorMap, Fingerprint, Part, ShardSpec, names},
+    query::{AoMethod, Made, Occluders, Selection, ShadowMethod, subdivide},
+    render::{MethodUsed, RenderError, RenderOptions, Rendered, TILE, check_settings, render},
 };
 use umbrage_scene::{Ground, Scene, Settings};
 

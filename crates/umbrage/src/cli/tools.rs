@@ -1,16 +1,18 @@
 //! `umbrage inspect`, `umbrage compare` and `umbrage scenes`
 
 use super::is_mesh;
-use crate::{
-    compare::{CompareOptions, DifferencePicture, compare as compare_films, read_two, write_difference},
-    inspect::{inspect_mesh_for_methods, inspect_scene_for_methods},
-};
 use anyhow::{Context, Result};
 use serde::Serialize;
 use std::{
     io::Write,
     path::{Path, PathBuf},
     process::ExitCode,
+};
+use umbrage::{
+    image::compare::{
+        CompareOptions, DifferencePicture, compare as compare_films, read_two, write_difference,
+    },
+    inspect::{inspect_mesh_for_methods, inspect_scene_for_methods},
 };
 use umbrage_scene::{Scene, generate, read_mesh, write_atomically};
 
@@ -68,7 +70,8 @@ pub fn inspect(arguments: &InspectArguments) -> Result<ExitCode> {
         print(&inspect_mesh_for_methods(&read_mesh(&arguments.input)?), arguments.json)
     } else {
         let mut scene = Scene::load(&arguments.input)?;
-        crate::subdivide::refine(&mut scene).with_context(|| arguments.input.display().to_string())?;
+        umbrage::query::subdivide::refine(&mut scene)
+            .with_context(|| arguments.input.display().to_string())?;
         print(&inspect_scene_for_methods(&scene), arguments.json)
     }
 }

@@ -1,10 +1,10 @@
 //! Which methods fit a mesh or a scene.
 
 use super::{MeshReport, SceneReport, inspect_mesh, inspect_scene};
-use crate::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, View};
 use serde::Serialize;
 use std::fmt;
 use umbrage_geom::TriangleMesh;
+use umbrage_query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, View};
 use umbrage_scene::Scene;
 
 /// Whether a method fits, and what it promises.
