@@ -127,7 +127,7 @@ fn block_ao(
         loop {
             batch.clear();
             let next = rays.by_ref().take(BATCH);
-            batch.extend(next.map(|(ray, &d)| LightRay { ray, solid_angle: pattern.solid_angle(d) }));
+            batch.extend(next.map(|(ray, &d)| LightRay::new(ray, pattern.solid_angle(d))));
             if batch.is_empty() {
                 return Ok((light / pattern.len() as f64) as f32);
             }

@@ -42,7 +42,13 @@ impl Fingerprint {
         let Scene { camera, meshes, instances, materials, lights, ambient, background, settings } = scene;
         self.bytes(format!("{camera:?}{instances:?}{materials:?}{lights:?}").as_bytes());
         self.bytes(format!("{ambient:?}{background:?}{settings:?}").as_bytes());
-        meshes.iter().for_each(|m| self.mesh(&m.mesh));
+        for named in meshes {
+            self.mesh(&named.mesh);
+            // Surfaces that are traced as such have nothing else of theirs in the mesh.
+            if let Some(subdivision) = &named.subdivision {
+                self.bytes(format!("{subdivision:?}").as_bytes());
+            }
+        }
     }
 
     /// The hash of all that was added.

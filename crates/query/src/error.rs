@@ -15,7 +15,7 @@ pub enum QueryError {
     UnknownMethod {
         /// What was asked for.
         name: String,
-        /// `shadow` or `ambient occlusion`.
+        /// `shadow`, `ambient occlusion` or `surface`.
         purpose: &'static str,
         /// Names of all methods.
         known: Vec<&'static str>,

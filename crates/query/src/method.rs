@@ -34,15 +34,19 @@ pub struct Needs {
     pub one_mesh: bool,
     /// Receivers are what a pinhole camera sees.
     pub pinhole: bool,
+    /// Subdivision surfaces are meshes of triangles.
+    pub triangles: bool,
     /// Each receiver has a multiple of 8 rays up to 1024.
     pub mask_rays: bool,
 }
 
 impl Needs {
     /// No condition.
-    pub const NOTHING: Self = Self { opaque: false, one_mesh: false, pinhole: false, mask_rays: false };
-    const OPAQUE: Self = Self { opaque: true, ..Self::NOTHING };
-    const MASK: Self = Self { one_mesh: true, mask_rays: true, ..Self::NOTHING };
+    pub const NOTHING: Self =
+        Self { opaque: false, one_mesh: false, pinhole: false, triangles: false, mask_rays: false };
+    const TRIANGLES: Self = Self { triangles: true, ..Self::NOTHING };
+    const OPAQUE: Self = Self { opaque: true, ..Self::TRIANGLES };
+    const MASK: Self = Self { one_mesh: true, mask_rays: true, ..Self::TRIANGLES };
 
     const fn and_opaque(self) -> Self {
         Self { opaque: true, ..self }
@@ -58,6 +62,9 @@ impl Needs {
 
     /// Why `scene` does not meet the needs; `None` if it does.
     pub fn unmet(&self, scene: &SceneKind) -> Option<&'static str> {
+        if self.triangles && scene.surfaces {
+            return Some("subdivision surfaces are traced as such, and the method needs surfaces = \"mesh\"");
+        }
         if self.opaque && !scene.opaque {
             return Some("some triangles are semi-transparent, and the method needs opaque ones");
         }
@@ -78,6 +85,7 @@ impl fmt::Display for Needs {
             (self.opaque, "opaque triangles"),
             (self.one_mesh, "instances in one mesh"),
             (self.pinhole, "a pinhole camera"),
+            (self.triangles, "surfaces as meshes"),
             (self.mask_rays, "a multiple of 8 rays up to 1024"),
         ];
         let needed: Vec<&str> =
@@ -108,6 +116,8 @@ pub struct SceneKind {
     pub opaque: bool,
     /// Whether instances are kept apart instead of being copied into one mesh.
     pub instances_apart: bool,
+    /// Whether there are subdivision surfaces that are traced as such.
+    pub surfaces: bool,
     /// From where receivers are seen.
     pub view: View,
 }
@@ -303,7 +313,7 @@ methods! {
         exactness: Exactness::Approximate(
             "a node that fits inside a ray's cone blocks by its stored mean opacity, so contacts and thin gaps are blurred."
         ),
-        needs: Needs::NOTHING,
+        needs: Needs::TRIANGLES,
         summary: "Rays as cones that end at nodes with stored opacity; for foliage and hair.",
     }
 }
@@ -352,8 +362,41 @@ methods! {
         exactness: Exactness::Approximate(
             "a node that fits inside a ray's cone blocks by its stored mean opacity, so contacts and thin gaps are blurred."
         ),
-        needs: Needs::NOTHING,
+        needs: Needs::TRIANGLES,
         summary: "Rays as cones that end at nodes with stored opacity; for foliage and hair.",
+    }
+}
+
+methods! {
+    /// Ways to trace subdivision surfaces.
+    SurfaceMode, "surface",
+    Mesh {
+        name: "mesh",
+        exactness: Exactness::Approximate("micropolygons have the size that the camera asks for."),
+        needs: Needs::NOTHING,
+        summary: "Micropolygons as a mesh of triangles, which every other method can take.",
+    }
+    Once {
+        name: "once",
+        exactness: Exactness::Approximate("micropolygons have the size that the camera asks for."),
+        needs: Needs::NOTHING,
+        summary: "Micropolygons of the same rates in 15 bytes each, without a mesh; opaque surfaces.",
+    }
+    Footprint {
+        name: "footprint",
+        exactness: Exactness::Approximate("micropolygons have the size that each ray's footprint asks for."),
+        needs: Needs::NOTHING,
+        summary: "Rates by each ray's footprint, grids made when a ray reaches them; opaque surfaces.",
+    }
+}
+
+impl SurfaceMode {
+    /// The mode that a scene's settings name.
+    ///
+    /// # Errors
+    /// [`QueryError::UnknownMethod`].
+    pub fn of_scene(scene: &umbrage_scene::Scene) -> Result<Self, QueryError> {
+        scene.settings.surfaces.parse()
     }
 }
 
@@ -429,12 +472,13 @@ mod tests {
     #[test]
     fn names_are_unique_and_read_back() {
         check_list::<ShadowMethod>();
+        check_list::<SurfaceMode>();
         check_list::<AoMethod>();
     }
 
     #[test]
     fn needs_are_checked_with_a_reason() {
-        let plain = SceneKind { opaque: true, instances_apart: false, view: View::Pinhole };
+        let plain = SceneKind { opaque: true, instances_apart: false, surfaces: false, view: View::Pinhole };
         for &method in ShadowMethod::ALL {
             assert!(method.check(&plain).is_ok(), "{method}");
         }
@@ -450,5 +494,12 @@ mod tests {
         let apart = SceneKind { instances_apart: true, ..plain };
         assert!(AoMethod::Mask.check(&apart).unwrap_err().to_string().contains("instances"));
         assert!(ShadowMethod::BvhVolumetric.check(&apart).is_ok());
+        let surfaces = SceneKind { surfaces: true, ..plain };
+        for &method in ShadowMethod::ALL {
+            assert_eq!(method.check(&surfaces).is_ok(), method == ShadowMethod::Bvh);
+        }
+        for &method in AoMethod::ALL {
+            assert_eq!(method.check(&surfaces).is_ok(), method == AoMethod::Rays);
+        }
     }
 }

@@ -33,6 +33,10 @@ pub fn shadows<'a>(
     let (method, reason) = match selection {
         Selection::Method(method) => (method, ASKED_FOR),
         Selection::Auto => {
+            if occluders.has_surfaces() {
+                let engine = engine::shadows(ShadowMethod::Bvh, occluders, progress)?;
+                return Ok(Choice { engine, reason: "exact; subdivision surfaces are traced as such" });
+            }
             if let Some(engine) = engine::solid_where_it_pays(occluders, rays) {
                 let reason = "exact; many rays are expected to end at boxes inside of solids";
                 return Ok(Choice { engine, reason });
@@ -57,6 +61,9 @@ pub fn sky<'a>(
         Selection::Method(method) => (method, ASKED_FOR),
         Selection::Auto if !mask_rays(sky.pattern.rays) => {
             (AoMethod::Rays, "exact; masks need a multiple of 8 rays up to 1024")
+        }
+        Selection::Auto if occluders.has_surfaces() => {
+            (AoMethod::Rays, "exact; subdivision surfaces are traced as such, and masks need meshes")
         }
         Selection::Auto if occluders.is_instanced() => {
             (AoMethod::Rays, "exact; instances are kept apart, and masks need them in one mesh")

@@ -3,7 +3,7 @@
 //! A picture's rates are those of its camera, so shadows and ambient rays see the surface that the camera sees. A bake of a bare
 //! mesh has no camera and divides all faces alike.
 
-use crate::QueryError;
+use crate::{QueryError, SurfaceMode};
 use std::sync::Arc;
 use umbrage_geom::{PolygonMesh, TriangleMesh, glam::Vec3};
 use umbrage_reyes::{EyeRates, RatedSurface, Surface, SurfaceError, SurfaceOptions};
@@ -13,7 +13,12 @@ use umbrage_scene::{Ground, Scene, Settings, Subdivision, SubdivisionRate};
 const ROUGH_LEVEL: u8 = 2;
 
 /// Most times that a face is halved for a camera, however near.
-const MAX_LEVEL: u8 = 8;
+pub(crate) const MAX_LEVEL: u8 = 8;
+
+/// The surface for rays that divide patches as they need.
+pub(crate) fn traced_surface(subdivision: &Subdivision) -> Result<Arc<Surface>, SurfaceError> {
+    Ok(Arc::new(Surface::build(&subdivision.control, &SurfaceOptions::default())?))
+}
 
 fn surface(subdivision: &Subdivision) -> Result<Arc<Surface>, SurfaceError> {
     // Patches are divided once, so nothing of their trees has to be kept.
@@ -35,23 +40,36 @@ fn at_level(surface: Arc<Surface>, level: u8) -> Result<TriangleMesh, SurfaceErr
     Ok(RatedSurface::new(surface, |_| [level; 2])?.to_mesh())
 }
 
-/// Puts micropolygons in the place of all control meshes of a scene, at rates for its camera and image height. Objects keep
-/// their order. Does nothing to other meshes, nor a second time.
+/// Puts micropolygons in the place of all control meshes of a scene whose settings ask for surfaces as meshes, at rates for its
+/// camera and image height. Objects keep their order. Does nothing to other meshes, nor a second time; nor to a scene whose
+/// surfaces are traced as such.
 ///
 /// # Errors
-/// [`QueryError::Surface`] for what is wrong with a control mesh or its rate.
+/// [`QueryError::Surface`] for what is wrong with a control mesh or its rate; [`QueryError::UnknownMethod`].
 pub fn refine(scene: &mut Scene) -> Result<(), QueryError> {
+    if SurfaceMode::of_scene(scene)? == SurfaceMode::Mesh { refine_all(scene) } else { Ok(()) }
+}
+
+/// [`refine`] whatever the settings say: for uses that need triangles.
+///
+/// # Errors
+/// [`QueryError::Surface`].
+pub fn refine_all(scene: &mut Scene) -> Result<(), QueryError> {
     for index in 0..scene.meshes.len() {
         let Some(subdivision) = scene.meshes[index].subdivision.take() else { continue };
-        let mesh = refined(scene, index, &subdivision);
+        let mesh = rated(scene, index, &subdivision).map(|rated| rated.to_mesh());
         let named = &mut scene.meshes[index];
         named.mesh = mesh.map_err(|source| QueryError::Surface { object: named.name.clone(), source })?;
     }
     Ok(())
 }
 
-/// The surface whose control mesh is mesh `index`.
-fn refined(scene: &Scene, index: usize, subdivision: &Subdivision) -> Result<TriangleMesh, SurfaceError> {
+/// The surface whose control mesh is mesh `index`, at rates chosen once.
+pub(crate) fn rated(
+    scene: &Scene,
+    index: usize,
+    subdivision: &Subdivision,
+) -> Result<RatedSurface, SurfaceError> {
     let surface = surface(subdivision)?;
     match subdivision.rate {
         SubdivisionRate::Pixels(pixels) => {
@@ -62,9 +80,9 @@ fn refined(scene: &Scene, index: usize, subdivision: &Subdivision) -> Result<Tri
             let places: Vec<_> = instances.map(|i| i.world_from_object).collect();
             // Pixels are what the user asked for, wherever the surface bends.
             let rates = EyeRates::new(eye, width).with_max_level(MAX_LEVEL).with_bend(0.0);
-            Ok(RatedSurface::for_eye_on(surface, &places, &rates)?.to_mesh())
+            RatedSurface::for_eye_on(surface, &places, &rates)
         }
-        SubdivisionRate::Level(level) => at_level(surface, level),
+        SubdivisionRate::Level(level) => RatedSurface::new(surface, |_| [level; 2]),
     }
 }
 

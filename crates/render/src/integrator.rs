@@ -4,7 +4,7 @@ use crate::{camera::Camera, light::Light};
 use umbrage_accel::Counters;
 use umbrage_aomask::{Outputs, Pattern, Receiver};
 use umbrage_geom::{
-    Ray,
+    Ray, RayDifferential,
     glam::{Vec2, Vec3},
     offset_origin,
     sampling::{combine, concentric_disc, pixel_seed, sobol_2d, sobol_4d, unit},
@@ -213,10 +213,16 @@ impl Integrator<'_> {
         if self.salt == 0 { seed } else { combine(seed, self.salt) }
     }
 
-    fn camera_ray(&self, x: u32, y: u32, sample: u32, seed: u32) -> Ray {
+    /// The ray of a camera sample, and how it differs from those of neighbouring pixels where subdivision surfaces ask.
+    fn camera_ray(&self, x: u32, y: u32, sample: u32, seed: u32) -> (Ray, RayDifferential) {
         let [dx, dy, lens_x, lens_y] = sobol_4d(sample, 0, seed);
         let lens = concentric_disc(Vec2::new(lens_x, lens_y)).to_array();
-        self.camera.ray(x as f32 + dx, y as f32 + dy, lens)
+        let (x, y) = (x as f32 + dx, y as f32 + dy);
+        let differential = match self.occluders.has_surfaces() {
+            true => self.camera.differential(x, y, lens),
+            false => RayDifferential::default(),
+        };
+        (self.camera.ray(x, y, lens), differential)
     }
 
     /// Origin of ambient rays and shading normal where `sample` of pixel (`x`, `y`) meets a surface.
@@ -228,14 +234,19 @@ impl Integrator<'_> {
     }
 
     /// The surface that a camera ray shows: a semi-transparent one counts with the probability of its opacity.
-    fn visible_surface(&self, ray: &Ray, seed: u32, scratch: &mut Scratch) -> Option<Surface> {
+    fn visible_surface(
+        &self,
+        (ray, differential): &(Ray, RayDifferential),
+        seed: u32,
+        scratch: &mut Scratch,
+    ) -> Option<Surface> {
         let mut rest = *ray;
         for layer in 0..MOST_LAYERS {
             scratch.counts.camera += 1;
             let surface = if self.count_cost {
-                self.occluders.closest_hit(&rest, &mut scratch.counters)?
+                self.occluders.closest_hit(&rest, differential, &mut scratch.counters)?
             } else {
-                self.occluders.closest_hit(&rest, &mut ())?
+                self.occluders.closest_hit(&rest, differential, &mut ())?
             };
             if surface.opacity >= 1.0 || unit(combine(seed, layer)) < surface.opacity {
                 return Some(surface);
@@ -292,7 +303,7 @@ impl Integrator<'_> {
             }
             let tfar = if incoming.distant { f32::INFINITY } else { 1.0 };
             let ray = Ray::new(origin, incoming.to_light).with_tfar(tfar);
-            rays.push(LightRay { ray, solid_angle: incoming.solid_angle });
+            rays.push(LightRay::new(ray, incoming.solid_angle).with_width(surface.width));
             arriving.push(incoming.irradiance * cosine);
         });
         scratch.counts.shadow += scratch.rays.len() as u64;
@@ -328,7 +339,7 @@ impl Integrator<'_> {
         if let Some(receiver) = self.sky_receiver(0, origin, surface.shading_normal, sample, seed) {
             let directions = sky.pattern.directions(sky.pattern.member_of(&receiver));
             let rays = sky.pattern.rays_of(&receiver, sky.radius).zip(directions);
-            let ray = |(ray, &d)| LightRay { ray, solid_angle: sky.pattern.solid_angle(d) };
+            let ray = |(ray, &d)| LightRay::new(ray, sky.pattern.solid_angle(d)).with_width(surface.width);
             scratch.rays.extend(rays.map(ray));
         }
         scratch.counts.ambient += scratch.rays.len() as u64;

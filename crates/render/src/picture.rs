@@ -17,7 +17,7 @@ use umbrage_image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names};
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 use umbrage_query::{
     AoMethod, Engine, Exactness, Occluders, QueryError, SceneKind, Selection, ShadowMethod, Sky as SkyQuery,
-    plan,
+    SurfaceMode, plan,
 };
 use umbrage_scene::{Scene, Settings};
 
@@ -130,6 +130,7 @@ pub fn check_settings(settings: &Settings) -> Result<(), RenderError> {
         }
     }
     selections(settings)?;
+    settings.surfaces.parse::<SurfaceMode>()?;
     Ok(())
 }
 

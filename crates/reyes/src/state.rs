@@ -20,6 +20,7 @@ pub struct TraceState {
     pub(crate) grids: RecentGrids,
     pub(crate) levels: LevelMemo,
     pub(crate) occluder_hits: u64,
+    pub(crate) grid_tests: u64,
     pub(crate) borders: RecentBorders,
     /// Patches to try, the next one last.
     pub(crate) deferred: Vec<u32>,
@@ -34,6 +35,7 @@ impl TraceState {
             grids: RecentGrids { slots: vec![None; count].into() },
             levels: LevelMemo::default(),
             occluder_hits: 0,
+            grid_tests: 0,
             borders: RecentBorders::default(),
             deferred: Vec::new(),
         }
@@ -42,6 +44,11 @@ impl TraceState {
     /// Shadow rays so far that opaque cells blocked.
     pub fn occluder_hits(&self) -> u64 {
         self.occluder_hits
+    }
+
+    /// Grids so far that rays were tested against.
+    pub fn grid_tests(&self) -> u64 {
+        self.grid_tests
     }
 
     /// A new ray begins.

@@ -515,6 +515,7 @@ impl Query<'_, '_> {
     pub(crate) fn grid_of(&mut self, key: GridKey) -> bool {
         let tracer = self.tracer;
         let Self { state, ray, any, closest, .. } = self;
+        state.grid_tests += 1;
         let grid = state.grids.get(&key, || {
             tracer.cache.get(&key, || {
                 let grid = tracer.surface.dice(&key);

@@ -238,6 +238,8 @@ pub struct Settings {
     pub shadows: String,
     /// Name of the method that computes ambient occlusion; `auto` chooses.
     pub ao: String,
+    /// How subdivision surfaces are traced: `mesh`, `once` or `footprint`.
+    pub surfaces: String,
     /// Seed of all random choices.
     pub seed: u32,
     /// Stops of brightness added before the image is written as PNG.
@@ -254,6 +256,7 @@ impl Default for Settings {
             ao_samples: 1,
             shadows: "auto".into(),
             ao: "auto".into(),
+            surfaces: "mesh".into(),
             seed: 0,
             exposure: 0.0,
         }

@@ -11,6 +11,7 @@ mod mask_table;
 mod prefilter;
 mod rays;
 mod solid;
+mod surface;
 
 use super::{AoMethod, Occluders, QueryError, SceneKind, ShadowMethod, View};
 use umbrage_accel::Counters;
@@ -18,7 +19,7 @@ use umbrage_aomask::{
     MaskOptions, Outputs, Pattern, PatternOptions, Points, RasterView, Receiver, Sides,
     exact::adaptive::Spent,
 };
-use umbrage_geom::Ray;
+use umbrage_geom::{Frame, Ray, RayDifferential};
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 
 /// A callback that gets growing fractions and returns `false` to cancel.
@@ -31,6 +32,33 @@ pub struct LightRay {
     pub ray: Ray,
     /// Solid angle that the sample stands for, steradians; 0 for point lights.
     pub solid_angle: f32,
+    /// Width of what the receiver stands for, such as a pixel's footprint, world units: how finely subdivision surfaces are seen.
+    pub width: f32,
+}
+
+impl LightRay {
+    /// A ray from a receiver that is a point.
+    pub fn new(ray: Ray, solid_angle: f32) -> Self {
+        Self { ray, solid_angle, width: 0.0 }
+    }
+
+    /// Sets [`Self::width`].
+    #[must_use]
+    pub fn with_width(self, width: f32) -> Self {
+        Self { width, ..self }
+    }
+
+    /// A square footprint that starts as wide as the receiver and grows with the solid angle.
+    pub(crate) fn differential(&self) -> RayDifferential {
+        let length = self.ray.direction.length();
+        let frame = Frame::from_normal(self.ray.direction / length);
+        let axes = [frame.tangent, frame.bitangent];
+        let spread = self.solid_angle.sqrt() * length;
+        RayDifferential {
+            d_origin: axes.map(|axis| axis * self.width),
+            d_direction: axes.map(|axis| axis * spread),
+        }
+    }
 }
 
 /// What an engine answers.
@@ -207,6 +235,9 @@ pub fn shadows<'a>(
 ) -> Result<Box<dyn Engine + 'a>, QueryError> {
     method.check(&occluders.kind(View::NoCamera))?;
     Ok(match method {
+        ShadowMethod::Bvh if occluders.has_surfaces() => {
+            Box::new(surface::Surface::new(method.name(), occluders))
+        }
         ShadowMethod::Bvh => Box::new(rays::Rays::new(method.name(), occluders, Sides::Both)),
         ShadowMethod::Kd
         | ShadowMethod::KdVolumetric
@@ -248,13 +279,14 @@ pub fn sky<'a>(
         return Err(QueryError::Unsupported { method: method.name(), reason });
     }
     Ok(match method {
-        AoMethod::Rays if sky.sides != Sides::Both && kind.instances_apart => {
-            let reason = "sides other than both need instances in one mesh";
+        AoMethod::Rays if sky.sides != Sides::Both && (kind.instances_apart || kind.surfaces) => {
+            let reason = "sides other than both need instances and surfaces in one mesh";
             return Err(QueryError::Unsupported { method: method.name(), reason });
         }
         AoMethod::Rays if sky.sides == Sides::FrontFirst && !kind.opaque => {
             return Err(QueryError::Unsupported { method: method.name(), reason: FRONT_FIRST_NEEDS_OPAQUE });
         }
+        AoMethod::Rays if kind.surfaces => Box::new(surface::Surface::new(method.name(), occluders)),
         AoMethod::Rays => Box::new(rays::Rays::new(method.name(), occluders, sky.sides)),
         AoMethod::Mask => Box::new(mask::Mask::build(occluders, sky)?),
         AoMethod::MaskPrefilter => Box::new(mask_prefilter::MaskPrefilter::build(occluders, sky, progress)?),

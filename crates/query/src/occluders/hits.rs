@@ -1,9 +1,10 @@
 //! What rays find among occluders: how much light passes, and the nearest surface.
 
 use super::{Address, Hierarchy, Occluders, Placed};
+use crate::LightRay;
 use umbrage_accel::Statistics;
 use umbrage_aomask::Sides;
-use umbrage_geom::{OpticalDepth, Ray, TriangleHit, glam::*, intersect_triangle};
+use umbrage_geom::{OpticalDepth, Ray, RayDifferential, TriangleHit, glam::*, intersect_triangle};
 
 /// The surface that a ray meets.
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +23,8 @@ pub struct Surface {
     pub opacity: f32,
     /// Ray parameter.
     pub t: f32,
+    /// Width of the ray there, world units; 0 without subdivision surfaces.
+    pub width: f32,
 }
 
 impl Placed {
@@ -42,12 +45,14 @@ impl Occluders {
     pub fn transmittance(&self, ray: &Ray, stats: &mut impl Statistics) -> f32 {
         if self.opaque {
             let hit = match &self.hierarchy {
+                Hierarchy::Absent => false,
                 Hierarchy::Flat(bvh) => bvh.any_hit_with(ray, stats),
                 Hierarchy::Instanced(bvh) => bvh.any_hit_with(ray, stats),
             };
             return if hit { 0.0 } else { 1.0 };
         }
         let depth = match &self.hierarchy {
+            Hierarchy::Absent => OpticalDepth::CLEAR,
             Hierarchy::Flat(bvh) => bvh.transmittance_with(ray, |prim| self.depth_of((0, prim)), stats),
             Hierarchy::Instanced(bvh) => {
                 bvh.transmittance_with(ray, |instance, prim| self.depth_of((instance, prim)), stats)
@@ -88,6 +93,7 @@ impl Occluders {
                 bvh.transmittances_with(rays, |prim| self.flat_depth(prim), &mut sums, stats);
                 passed.iter_mut().zip(sums).for_each(|(out, sum)| *out = sum.transmittance());
             }
+            (Hierarchy::Absent, _) => passed.fill(1.0),
             (Hierarchy::Instanced(_), _) => {
                 rays.iter().zip(passed).for_each(|(ray, out)| *out = self.transmittance(ray, stats));
             }
@@ -108,9 +114,39 @@ impl Occluders {
         }
     }
 
-    /// The nearest surface along `ray`.
-    pub fn closest_hit(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<Surface> {
+    /// [`Self::transmittances`] with subdivision surfaces, which see each ray as wide as its share of solid angle makes it.
+    pub(crate) fn transmittances_with_surfaces(
+        &self,
+        rays: &[LightRay],
+        passed: &mut [f32],
+        stats: &mut impl Statistics,
+    ) {
+        let plain: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
+        self.transmittances(&plain, Sides::Both, passed, stats);
+        let Some(surfaces) = &self.surfaces else { return };
+        let mut blocked: Vec<bool> = passed.iter().map(|&passed| passed == 0.0).collect();
+        surfaces.block(&plain, |i| rays[i].differential(), &mut blocked, stats);
+        passed.iter_mut().zip(blocked).filter(|(_, blocked)| *blocked).for_each(|(out, _)| *out = 0.0);
+    }
+
+    /// The nearest surface along `ray`; `differential` says how wide subdivision surfaces see it.
+    pub fn closest_hit(
+        &self,
+        ray: &Ray,
+        differential: &RayDifferential,
+        stats: &mut impl Statistics,
+    ) -> Option<Surface> {
+        let triangle = self.closest_triangle(ray, stats);
+        let Some(surfaces) = &self.surfaces else { return triangle };
+        let rest = triangle.as_ref().map_or(*ray, |surface| ray.with_tfar(surface.t));
+        let nearest = surfaces.closest_hit(&rest, differential, &self.albedos, stats).or(triangle)?;
+        let edges = differential.footprint(nearest.t).map(|edge| edge.length());
+        Some(Surface { width: edges[0].min(edges[1]), ..nearest })
+    }
+
+    fn closest_triangle(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<Surface> {
         let (instance, hit) = match &self.hierarchy {
+            Hierarchy::Absent => return None,
             Hierarchy::Flat(bvh) => (0, bvh.closest_hit_with(ray, stats)?),
             Hierarchy::Instanced(bvh) => {
                 let hit = bvh.closest_hit_with(ray, stats)?;
@@ -155,7 +191,7 @@ impl Occluders {
                 let point = along - normal * (along - corners[0].as_dvec3()).dot(normal);
                 (point.as_vec3(), point.abs().max_element() as f32)
             }
-            Hierarchy::Instanced(_) => {
+            Hierarchy::Absent | Hierarchy::Instanced(_) => {
                 ((corners[0] + e * hit.u + f * hit.v).into(), placed.magnitude(mesh.triangle(index)))
             }
         };
@@ -173,6 +209,7 @@ impl Occluders {
             albedo: albedo.into(),
             opacity: 1.0 - depth.transmittance(),
             t: hit.t,
+            width: 0.0,
         }
     }
 }

@@ -5,14 +5,17 @@
 
 mod demand;
 mod hits;
+mod surfaces;
 
 pub use demand::{Made, Structure};
 pub(crate) use demand::{PrefilteredParts, solids};
 pub use hits::Surface;
+pub use surfaces::SurfaceWork;
 
-use super::{QueryError, SceneKind, View, engine::Report};
+use super::{QueryError, SceneKind, SurfaceMode, View, engine::Report};
 use demand::Demand;
 use std::sync::Arc;
+use surfaces::Surfaces;
 use umbrage_accel::{BuildOptions, Bvh, InstancedBvh, Placement};
 use umbrage_geom::{
     Aabb, MeshError, OpticalDepth, Progress, TriangleMesh,
@@ -40,6 +43,8 @@ pub enum Ground {
 /// Triangles that block rays, ready for every method.
 pub struct Occluders {
     hierarchy: Hierarchy,
+    /// Subdivision surfaces that are traced as such.
+    surfaces: Option<Surfaces>,
     parts: Vec<Part>,
     placed: Vec<Placed>,
     /// Albedo of each material.
@@ -50,6 +55,8 @@ pub struct Occluders {
 }
 
 enum Hierarchy {
+    /// There are no triangles.
+    Absent,
     Flat(Arc<Bvh>),
     Instanced(InstancedBvh),
 }
@@ -77,12 +84,31 @@ impl Occluders {
     /// all, and kept apart beyond. `progress` gets growing fractions that end at exactly 1, and returns `false` to cancel
     /// before the next hierarchy is built.
     ///
+    /// Where the scene's settings ask for surfaces `once` or by `footprint`, instances of control meshes are traced as subdivision
+    /// surfaces; [`super::subdivide::refine`] leaves them as they are.
+    ///
     /// # Errors
-    /// [`QueryError::Build`] with the name of the mesh; [`QueryError::Cancelled`].
+    /// [`QueryError::Build`] with the name of the mesh; [`QueryError::Surface`], [`QueryError::Unsupported`] for surfaces that can't
+    /// be traced as such; [`QueryError::UnknownMethod`], [`QueryError::Cancelled`].
     pub fn of_scene(scene: &Scene, progress: Report<'_>) -> Result<Self, QueryError> {
+        match Surfaces::split(scene, SurfaceMode::of_scene(scene)?)? {
+            None => Self::of_triangles(scene, progress),
+            Some((surfaces, rest)) => {
+                let mut occluders = Self::of_triangles(&rest, progress)?;
+                occluders.bounds = occluders.bounds.union(surfaces.bounds());
+                occluders.surfaces = Some(surfaces);
+                Ok(occluders)
+            }
+        }
+    }
+
+    fn of_triangles(scene: &Scene, progress: Report<'_>) -> Result<Self, QueryError> {
         let demand = Demand::default();
         let (parts, placed, hierarchy);
-        if keeps_instances_apart(scene) {
+        if scene.instances.is_empty() {
+            (parts, placed, hierarchy) = (Vec::new(), Vec::new(), Hierarchy::Absent);
+            Progress::new(0, progress).finish()?;
+        } else if keeps_instances_apart(scene) {
             (parts, placed) = instanced_parts(scene);
             let progress = Progress::new(parts.len() as u64, progress);
             let build = |(part, mesh): (&Part, &umbrage_scene::NamedMesh)| {
@@ -104,12 +130,13 @@ impl Occluders {
             hierarchy = flat_hierarchy(&parts[0].mesh, &demand, progress)?;
         }
         let bounds = match &hierarchy {
+            Hierarchy::Absent => Aabb::EMPTY,
             Hierarchy::Flat(bvh) => bvh.bounds(),
             Hierarchy::Instanced(bvh) => bvh.bounds(),
         };
         let opaque = is_opaque(&placed);
         let albedos = scene.materials.iter().map(|m| m.albedo.into()).collect();
-        Ok(Self { hierarchy, parts, placed, albedos, opaque, bounds, demand })
+        Ok(Self { hierarchy, surfaces: None, parts, placed, albedos, opaque, bounds, demand })
     }
 
     /// Meshes in world space (usually the baked mesh first, then others that only occlude) and the ground, as one mesh. Objects
@@ -142,7 +169,8 @@ impl Occluders {
         let hierarchy = flat_hierarchy(&part.mesh, &demand, progress)?;
         let placed = vec![Placed::in_place(objects)];
         let (opaque, albedos) = (is_opaque(&placed), vec![Vec3::splat(0.5)]);
-        Ok(Self { hierarchy, parts: vec![part], placed, albedos, opaque, bounds, demand })
+        let parts = vec![part];
+        Ok(Self { hierarchy, surfaces: None, parts, placed, albedos, opaque, bounds, demand })
     }
 
     /// World bounds, without a [`Ground`].
@@ -163,6 +191,7 @@ impl Occluders {
     /// Bytes of the wide BVH, and of the triangles and attributes beside it.
     pub fn bytes(&self) -> (usize, usize) {
         let hierarchy = match &self.hierarchy {
+            Hierarchy::Absent => 0,
             Hierarchy::Flat(bvh) => bvh.bytes(),
             Hierarchy::Instanced(bvh) => bvh.bytes(),
         };
@@ -171,7 +200,18 @@ impl Occluders {
 
     /// What decides which methods can answer, for receivers seen from `view`.
     pub fn kind(&self, view: View) -> SceneKind {
-        SceneKind { opaque: self.opaque, instances_apart: self.is_instanced(), view }
+        let (instances_apart, surfaces) = (self.is_instanced(), self.surfaces.is_some());
+        SceneKind { opaque: self.opaque, instances_apart, surfaces, view }
+    }
+
+    /// Whether there are subdivision surfaces that are traced as such.
+    pub fn has_surfaces(&self) -> bool {
+        self.surfaces.is_some()
+    }
+
+    /// What was made of subdivision surfaces so far, if they are traced as such.
+    pub fn surface_work(&self) -> Option<SurfaceWork> {
+        self.surfaces.as_ref().map(Surfaces::work)
     }
 
     /// Whether every triangle blocks all light.
@@ -187,7 +227,7 @@ impl Occluders {
     /// The two levels, if instances are kept apart.
     pub fn instances(&self) -> Option<&InstancedBvh> {
         match &self.hierarchy {
-            Hierarchy::Flat(_) => None,
+            Hierarchy::Absent | Hierarchy::Flat(_) => None,
             Hierarchy::Instanced(bvh) => Some(bvh),
         }
     }
@@ -196,7 +236,7 @@ impl Occluders {
     pub fn flat(&self) -> Option<&Bvh> {
         match &self.hierarchy {
             Hierarchy::Flat(bvh) => Some(bvh),
-            Hierarchy::Instanced(_) => None,
+            Hierarchy::Absent | Hierarchy::Instanced(_) => None,
         }
     }
 
@@ -221,6 +261,8 @@ impl SceneKind {
         Self {
             opaque: depths.into_iter().all(|(_, depth)| depth.is_opaque()),
             instances_apart: keeps_instances_apart(scene),
+            surfaces: scene.settings.surfaces != SurfaceMode::Mesh.name()
+                && scene.instances.iter().any(|i| scene.meshes[i.mesh].subdivision.is_some()),
             view: if scene.camera.lens_radius > 0.0 { View::Lens } else { View::Pinhole },
         }
     }
@@ -229,7 +271,7 @@ impl SceneKind {
     pub fn of_mesh(mesh: &TriangleMesh, view: View) -> Self {
         let objects = mesh.objects_or_whole();
         let opaque = objects.iter().all(|object| OpticalDepth::from_opacity(object.opacity).is_opaque());
-        Self { opaque, instances_apart: false, view }
+        Self { opaque, instances_apart: false, surfaces: false, view }
     }
 }
 

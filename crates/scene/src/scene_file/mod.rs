@@ -135,7 +135,9 @@ fn read_image(image: Fields<'_>, settings: &mut Settings) -> Result<(), Flaw> {
 }
 
 fn read_methods(methods: Fields<'_>, settings: &mut Settings) -> Result<(), Flaw> {
-    for (key, name) in [("shadows", &mut settings.shadows), ("ao", &mut settings.ao)] {
+    let names =
+        [("shadows", &mut settings.shadows), ("ao", &mut settings.ao), ("surfaces", &mut settings.surfaces)];
+    for (key, name) in names {
         if let Some(value) = methods.value(key) {
             let text = value.text()?;
             if text.is_empty() {

@@ -217,7 +217,12 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
     );
     let method = options.method;
     // Occluders are one mesh; whether they are opaque isn't known yet.
-    method.check(&SceneKind { opaque: true, instances_apart: false, view: View::NoCamera })?;
+    method.check(&SceneKind {
+        opaque: true,
+        instances_apart: false,
+        surfaces: false,
+        view: View::NoCamera,
+    })?;
     for (given, name) in
         [(arguments.dump_rays.is_some(), "--dump-rays"), (arguments.bent_normals, "--bent-normals")]
     {
@@ -257,7 +262,7 @@ fn read(arguments: &BakeArguments) -> Result<Input> {
         read_mesh(&arguments.mesh)?
     } else {
         let mut scene = Scene::load(&arguments.mesh)?;
-        umbrage::query::subdivide::refine(&mut scene)
+        umbrage::query::subdivide::refine_all(&mut scene)
             .with_context(|| arguments.mesh.display().to_string())?;
         scene.flatten()
     };

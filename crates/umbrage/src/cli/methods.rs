@@ -6,14 +6,22 @@ use umbrage::query::{Exactness, Method, Selection};
 /// Reads a method or `auto`; the possible values are the one list of methods.
 pub fn parser<M: Method + Send + Sync>() -> impl TypedValueParser<Value = Selection<M>> {
     let auto = PossibleValue::new(Selection::<M>::AUTO).help("The fastest exact method that fits the scene");
-    let methods = M::all().iter().map(|&method| {
+    PossibleValuesParser::new(std::iter::once(auto).chain(values::<M>())).try_map(|name| name.parse())
+}
+
+/// Reads a method where nothing else chooses one.
+pub fn modes<M: Method + Send + Sync>() -> impl TypedValueParser<Value = M> {
+    PossibleValuesParser::new(values::<M>()).try_map(|name| name.parse())
+}
+
+fn values<M: Method>() -> impl Iterator<Item = PossibleValue> {
+    M::all().iter().map(|&method| {
         let value = PossibleValue::new(method.name()).help(describe(method));
         match method.alias() {
             Some(alias) => value.alias(alias),
             None => value,
         }
-    });
-    PossibleValuesParser::new(std::iter::once(auto).chain(methods)).try_map(|name| name.parse())
+    })
 }
 
 fn describe(method: impl Method) -> String {

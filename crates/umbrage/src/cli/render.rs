@@ -11,7 +11,7 @@ use std::{
 };
 use umbrage::{
     image::{self, ColorMap, Fingerprint, Part, ShardSpec, names},
-    query::{AoMethod, Made, Occluders, Selection, ShadowMethod, subdivide},
+    query::{AoMethod, Made, Occluders, Selection, ShadowMethod, SurfaceMode, subdivide},
     render::{MethodUsed, RenderError, RenderOptions, Rendered, TILE, check_settings, render},
 };
 use umbrage_scene::{Ground, Scene, Settings};
@@ -37,6 +37,9 @@ pub struct RenderArguments {
     /// How the openness of the sky is answered.
     #[arg(long, value_name = "METHOD", value_parser = methods::parser::<AoMethod>())]
     ao: Option<Selection<AoMethod>>,
+    /// How subdivision surfaces are traced.
+    #[arg(long, value_name = "MODE", value_parser = methods::modes::<SurfaceMode>())]
+    surfaces: Option<SurfaceMode>,
     /// Camera samples a pixel.
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
@@ -147,6 +150,9 @@ fn override_settings(settings: &mut Settings, arguments: &RenderArguments) {
     if let Some(method) = arguments.shadows {
         settings.shadows = method.to_string();
     }
+    if let Some(mode) = arguments.surfaces {
+        settings.surfaces = mode.to_string();
+    }
     if let Some(method) = arguments.ao {
         settings.ao = method.to_string();
     }
@@ -251,6 +257,14 @@ fn write_stats(
         "structure_bytes": structure_bytes,
         "geometry_bytes": geometry_bytes,
         "structures": structures,
+        "surfaces": occluders.surface_work().map(|work| json!({
+            "mode": settings.surfaces,
+            "patches": work.patches,
+            "grids": work.grids,
+            "micropolygons": work.micropolygons,
+            "evicted": work.evicted,
+            "bytes": work.bytes,
+        })),
         "threads": rayon::current_num_threads(),
         "load_s": load_s,
         "build_s": build_s,

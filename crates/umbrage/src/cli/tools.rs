@@ -13,6 +13,7 @@ use umbrage::{
         CompareOptions, DifferencePicture, compare as compare_films, read_two, write_difference,
     },
     inspect::{inspect_mesh_for_methods, inspect_scene_for_methods},
+    query::SceneKind,
 };
 use umbrage_scene::{Scene, generate, read_mesh, write_atomically};
 
@@ -70,9 +71,10 @@ pub fn inspect(arguments: &InspectArguments) -> Result<ExitCode> {
         print(&inspect_mesh_for_methods(&read_mesh(&arguments.input)?), arguments.json)
     } else {
         let mut scene = Scene::load(&arguments.input)?;
-        umbrage::query::subdivide::refine(&mut scene)
+        let kind = SceneKind::of_scene(&scene);
+        umbrage::query::subdivide::refine_all(&mut scene)
             .with_context(|| arguments.input.display().to_string())?;
-        print(&inspect_scene_for_methods(&scene), arguments.json)
+        print(&inspect_scene_for_methods(&scene, &kind), arguments.json)
     }
 }
 

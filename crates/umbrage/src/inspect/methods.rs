@@ -76,15 +76,15 @@ pub fn inspect_mesh_for_methods(mesh: &TriangleMesh) -> Inspection<MeshReport> {
     Inspection { report, methods }
 }
 
-/// [`inspect_scene`] with the methods that fit the scene.
+/// [`inspect_scene`] with the methods that fit a scene of the given kind: that before surfaces were divided.
 ///
 /// # Panics
 /// As [`inspect_scene`].
-pub fn inspect_scene_for_methods(scene: &Scene) -> Inspection<SceneReport> {
+pub fn inspect_scene_for_methods(scene: &Scene, kind: &SceneKind) -> Inspection<SceneReport> {
     let report = inspect_scene(scene);
     let mut objects = report.meshes.iter().flat_map(|mesh| &mesh.mesh.objects);
     let solids = objects.any(|object| object.solid.encloses);
-    let methods = MethodReports::new(&SceneKind::of_scene(scene), solids);
+    let methods = MethodReports::new(kind, solids);
     Inspection { report, methods }
 }
 
