@@ -23,11 +23,11 @@ use umbrage_geom::{
     glam::{Vec2, Vec3},
     sampling::{RandomStream, concentric_disc, sobol_2d},
 };
-use umbrage_reference::{Question, Reference};
-use umbrage_render::query::{
+use umbrage_query::{
     Answers, AoMethod, Engine, Ground, Occluders, Sky,
     engine::{self, LightRay},
 };
+use umbrage_reference::{Question, Reference};
 
 /// Scenes: closed, open, rooms, foliage.
 const SCENES: [(&str, &str); 8] = [
@@ -181,7 +181,7 @@ impl Asked<'_> {
                 let directions = pattern.directions(pattern.member_of(receiver));
                 let all = pattern.rays_of(receiver, radius).zip(directions);
                 rays.clear();
-                rays.extend(all.map(|(ray, &d)| LightRay { ray, solid_angle: pattern.solid_angle(d) }));
+                rays.extend(all.map(|(ray, &d)| LightRay::new(ray, pattern.solid_angle(d))));
                 passed.clear();
                 passed.resize(rays.len(), 1.0);
                 engine.transmittances(&rays, None, &mut passed, None).expect("it answers rays");

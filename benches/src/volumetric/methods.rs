@@ -10,7 +10,7 @@ use umbrage_occlusion::volumetric::{
     Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
     SolidBvhOptions, SolidCounters, Solids, Statistics,
 };
-use umbrage_render::query::{
+use umbrage_query::{
     Engine, Occluders,
     engine::{self, LightRay},
 };
@@ -400,7 +400,7 @@ fn run_method(
         let range = fan.start as usize..fan.end as usize;
         rays.clear();
         // Only prefiltered rays ask for solid angles.
-        rays.extend(shadows.rays[range.clone()].iter().map(|&ray| LightRay { ray, solid_angle: 0.0 }));
+        rays.extend(shadows.rays[range.clone()].iter().map(|&ray| LightRay::new(ray, 0.0)));
         passed.clear();
         passed.resize(rays.len(), 1.0);
         let light = Some(fan.light as usize);

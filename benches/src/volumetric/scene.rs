@@ -11,7 +11,7 @@ use umbrage_geom::{
     sampling::RandomStream,
 };
 use umbrage_occlusion::volumetric::Object;
-use umbrage_render::query::Occluders;
+use umbrage_query::Occluders;
 use umbrage_scene::{Camera, Instance, Material, NamedMesh, Settings};
 
 /// A mesh with what casts light on it.

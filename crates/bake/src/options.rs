@@ -159,10 +159,7 @@ impl BakeOptions {
             Jitter::Off => pattern.fixed(),
         };
         let sky = Sky::new(pattern, self.radius.resolve(diagonal)).with_sides(self.sides);
-        match self.target_error {
-            Some(target) => sky.with_target_error(target),
-            None => sky,
-        }
+        sky.with_target_error(self.target_error)
     }
 
     /// Checks everything that doesn't depend on receivers or occluders.

@@ -188,12 +188,6 @@ impl Sky {
         Self { view, ..self }
     }
 
-    /// Sets [`Self::target_error`].
-    #[must_use]
-    pub fn with_target_error(self, target_error: f32) -> Self {
-        Self { target_error: Some(target_error), ..self }
-    }
-
     fn options(&self) -> MaskOptions {
         MaskOptions::default().with_radius(self.radius).with_sides(self.sides)
     }
