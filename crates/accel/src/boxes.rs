@@ -4,7 +4,7 @@ use crate::{
     BackEnd, BuildError, BuildQuality,
     bvh::MAX_PRIMS,
     fan::Walk,
-    kernel::{FAN, Job, Kernel, NodeRay},
+    kernel::{self, FAN, Job, Kernel, NodeRay},
     node::Tree,
     topology::Topology,
     traversal::{self, SortedWalk, just_behind},
@@ -80,13 +80,13 @@ impl BoxBvh {
     /// [`Self::walk`] with a visitor instead of a closure: if its [`BoxVisitor::visit`] is `#[inline(always)]`, it is compiled
     /// for the instructions that the hierarchy uses.
     pub fn walk_with(&self, ray: &Ray, visitor: &mut impl BoxVisitor) -> ControlFlow<()> {
-        self.back_end.run(WalkBoxes { bvh: self, ray, visitor })
+        kernel::run(self.back_end, WalkBoxes { bvh: self, ray, visitor })
     }
 
     /// [`Self::walk_with`] in no particular order, until the visitor breaks: faster, where any hit ends the walk. Where the
     /// segment ends, which [`BoxVisitor::visit`] returns, makes no difference.
     pub fn walk_unsorted(&self, ray: &Ray, visitor: &mut impl BoxVisitor) -> ControlFlow<()> {
-        self.back_end.run(WalkUnsorted(WalkBoxes { bvh: self, ray, visitor }))
+        kernel::run(self.back_end, WalkUnsorted(WalkBoxes { bvh: self, ray, visitor }))
     }
 
     /// Walks rays of one origin together. Returns the rays that were answered, one bit each.
@@ -102,7 +102,7 @@ impl BoxBvh {
     /// If there are no rays or more than [`FAN`]; origins of the same bits are for the caller to see to.
     pub fn walk_fan(&self, rays: &[Ray], visitor: &mut impl BoxFanVisitor) -> u32 {
         assert!((1..=FAN).contains(&rays.len()), "{} rays are no fan", rays.len());
-        self.back_end.run(WalkFan { bvh: self, rays, visitor })
+        kernel::run(self.back_end, WalkFan { bvh: self, rays, visitor })
     }
 
     /// Smallest box around all boxes; empty if there are none.

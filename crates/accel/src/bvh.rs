@@ -2,7 +2,7 @@
 
 use crate::{
     BackEnd, BuildError, BuildOptions, Statistics, fan,
-    kernel::{Job, Kernel},
+    kernel::{self, Job, Kernel},
     memory,
     node::Tree,
     packet,
@@ -212,7 +212,7 @@ impl Bvh {
 
     /// [`Self::any_hit`], counted.
     pub fn any_hit_with(&self, ray: &Ray, stats: &mut impl Statistics) -> bool {
-        self.back_end.run(AnyHit { bvh: self, ray, stats })
+        kernel::run(self.back_end, AnyHit { bvh: self, ray, stats })
     }
 
     /// The hit with the smallest `t` (rounded as in [`TriangleHit::t`]), ties going to the smallest `prim_index`.
@@ -222,7 +222,7 @@ impl Bvh {
 
     /// [`Self::closest_hit`], counted.
     pub fn closest_hit_with(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<Hit> {
-        self.back_end.run(ClosestHit { bvh: self, ray, stats })
+        kernel::run(self.back_end, ClosestHit { bvh: self, ray, stats })
     }
 
     /// [`Self::closest_hit`] of each ray, each walking alone. With the `rayon` feature, over all threads of the caller's
@@ -232,7 +232,7 @@ impl Bvh {
     /// If the slices differ in length.
     pub fn closest_hits(&self, rays: &[Ray], hits: &mut [Option<Hit>]) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
-        let batch = |(rays, hits)| self.back_end.run(ClosestHits { bvh: self, rays, hits });
+        let batch = |(rays, hits)| kernel::run(self.back_end, ClosestHits { bvh: self, rays, hits });
         #[cfg(feature = "rayon")]
         {
             use rayon::prelude::*;
@@ -259,7 +259,7 @@ impl Bvh {
         visit: impl FnMut(u32, TriangleHit) -> ControlFlow<()>,
         stats: &mut impl Statistics,
     ) -> ControlFlow<()> {
-        self.back_end.run(ForEachHit { bvh: self, ray, visit, stats })
+        kernel::run(self.back_end, ForEachHit { bvh: self, ray, visit, stats })
     }
 
     /// Sum of `depth_of(prim_index)` over all triangles hit, [`OpticalDepth::OPAQUE`] as soon as nothing gets through.
@@ -276,7 +276,7 @@ impl Bvh {
         depth_of: impl Fn(u32) -> OpticalDepth,
         stats: &mut impl Statistics,
     ) -> OpticalDepth {
-        self.back_end.run(Transmittance { bvh: self, ray, depth_of, stats })
+        kernel::run(self.back_end, Transmittance { bvh: self, ray, depth_of, stats })
     }
 
     /// [`Self::any_hit`] of each ray. With the `rayon` feature, over all threads of the caller's pool.
@@ -285,7 +285,8 @@ impl Bvh {
     /// If the slices differ in length.
     pub fn any_hits(&self, rays: &[Ray], hits: &mut [bool]) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
-        let batch = |(rays, hits)| self.back_end.run(AnyHits { bvh: self, rays, hits, stats: &mut () });
+        let batch =
+            |(rays, hits)| kernel::run(self.back_end, AnyHits { bvh: self, rays, hits, stats: &mut () });
         #[cfg(feature = "rayon")]
         {
             use rayon::prelude::*;
@@ -301,12 +302,12 @@ impl Bvh {
     /// If the slices differ in length.
     pub fn any_hits_with(&self, rays: &[Ray], hits: &mut [bool], stats: &mut impl Statistics) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
-        self.back_end.run(AnyHits { bvh: self, rays, hits, stats });
+        kernel::run(self.back_end, AnyHits { bvh: self, rays, hits, stats });
     }
 
     /// [`Self::any_hit`] of a ray that may end at boxes inside of solids: what `solids` says of them is believed.
     pub fn any_hit_among(&self, ray: &Ray, solids: &mut impl Solids, stats: &mut impl Statistics) -> bool {
-        self.back_end.run(AnyHitAmong { bvh: self, ray, solids, stats })
+        kernel::run(self.back_end, AnyHitAmong { bvh: self, ray, solids, stats })
     }
 
     /// [`Self::any_hit_among`] of each ray, on this thread alone; those of one origin that follow each other walk together.
@@ -321,7 +322,7 @@ impl Bvh {
         stats: &mut impl Statistics,
     ) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
-        self.back_end.run(AnyHitsAmong { bvh: self, rays, hits, solids, stats });
+        kernel::run(self.back_end, AnyHitsAmong { bvh: self, rays, hits, solids, stats });
     }
 
     /// [`Self::transmittance`] of each ray. With the `rayon` feature, over all threads of the caller's pool.
@@ -337,7 +338,7 @@ impl Bvh {
         assert_eq!(rays.len(), sums.len(), "as many answers as rays");
         let depth_of = &depth_of;
         let batch = |(rays, sums)| {
-            self.back_end.run(Transmittances { bvh: self, rays, depth_of, sums, stats: &mut () });
+            kernel::run(self.back_end, Transmittances { bvh: self, rays, depth_of, sums, stats: &mut () });
         };
         #[cfg(feature = "rayon")]
         {
@@ -360,13 +361,13 @@ impl Bvh {
         stats: &mut impl Statistics,
     ) {
         assert_eq!(rays.len(), sums.len(), "as many answers as rays");
-        self.back_end.run(Transmittances { bvh: self, rays, depth_of: &depth_of, sums, stats });
+        kernel::run(self.back_end, Transmittances { bvh: self, rays, depth_of: &depth_of, sums, stats });
     }
 
     /// Walks `rays` for a goal of the caller's: those of one origin that follow each other together, [`FAN`](crate::FAN) at
     /// most, others alone, [`WALKS`](crate::WALKS) fans in turn; on this thread.
     pub fn walk_fans(&self, rays: &[Ray], goal: &mut impl FanGoal, stats: &mut impl Statistics) {
-        self.back_end.run(WalkFans { bvh: self, rays, goal, stats });
+        kernel::run(self.back_end, WalkFans { bvh: self, rays, goal, stats });
     }
 
     /// Smallest box around all triangles.

@@ -7,7 +7,7 @@ mod queries;
 use crate::{
     BackEnd, BuildError, BuildQuality, Bvh, Hit, Statistics,
     bvh::MAX_PRIMS,
-    kernel::{Job, Kernel, NodeRay},
+    kernel::{self, Job, Kernel, NodeRay},
     node::{LEAF, Tree},
     solid::Solids,
     topology::Topology,
@@ -277,12 +277,12 @@ impl InstancedBvh {
 
     /// [`Self::any_hit`], counted.
     pub fn any_hit_with(&self, ray: &Ray, stats: &mut impl Statistics) -> bool {
-        self.back_end.run(AnyHit { this: self, ray, stats })
+        kernel::run(self.back_end, AnyHit { this: self, ray, stats })
     }
 
     /// [`Self::any_hit`] of a ray that may end inside of instances.
     pub fn any_hit_among(&self, ray: &Ray, insides: &mut impl Insides, stats: &mut impl Statistics) -> bool {
-        self.back_end.run(AnyHitAmong { this: self, ray, insides, stats })
+        kernel::run(self.back_end, AnyHitAmong { this: self, ray, insides, stats })
     }
 
     /// [`Self::any_hit`] of each ray. With the `rayon` feature, over all threads of the caller's pool.
@@ -308,7 +308,7 @@ impl InstancedBvh {
 
     /// [`Self::closest_hit`], counted.
     pub fn closest_hit_with(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<InstanceHit> {
-        self.back_end.run(ClosestHit { this: self, ray, stats })
+        kernel::run(self.back_end, ClosestHit { this: self, ray, stats })
     }
 
     /// Calls `visit(instance, prim_index, hit)` exactly once for every triangle hit of every instance, in no promised
@@ -328,7 +328,7 @@ impl InstancedBvh {
         visit: impl FnMut(u32, u32, TriangleHit) -> ControlFlow<()>,
         stats: &mut impl Statistics,
     ) -> ControlFlow<()> {
-        self.back_end.run(ForEachHit { this: self, ray, visit, stats })
+        kernel::run(self.back_end, ForEachHit { this: self, ray, visit, stats })
     }
 
     /// Sum of `depth_of(instance, prim_index)` over all triangles hit; see [`Bvh::transmittance`].
@@ -343,7 +343,7 @@ impl InstancedBvh {
         depth_of: impl Fn(u32, u32) -> OpticalDepth,
         stats: &mut impl Statistics,
     ) -> OpticalDepth {
-        self.back_end.run(Transmittance { this: self, ray, depth_of, stats })
+        kernel::run(self.back_end, Transmittance { this: self, ray, depth_of, stats })
     }
 
     /// A box around all instances, a few units in the last place larger than needed; empty when there are none.
@@ -403,7 +403,7 @@ impl InstancedBvh {
     ) {
         let mut entered = Vec::new();
         // Collected first: a closure can't be inlined into the walk.
-        self.back_end.run(Entered { this: self, ray, entered: &mut entered, stats });
+        kernel::run(self.back_end, Entered { this: self, ray, entered: &mut entered, stats });
         for index in entered {
             let (index, _, ray) = self.enter(index, ray);
             if visit(index, &ray).is_break() {

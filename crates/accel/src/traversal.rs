@@ -1,4 +1,8 @@
-//! Walking a tree, on any kernel.
+//! Single rays through a tree, on any kernel.
+//!
+//! Here: walks from leaf to leaf, in the order of children or from near to far, and the queries of [`Bvh`] that use them:
+//! any hit, with and without boxes inside of solids, closest hit, all hits, transmittance. Not here: rays of one origin that
+//! walk together (`fan.rs`), packets (`packet.rs`), kd-trees (`kdtree`).
 
 use crate::{
     Bvh, Hit, Statistics,

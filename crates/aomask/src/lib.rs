@@ -1,12 +1,11 @@
 #![doc = include_str!("../README.md")]
-#![deny(unsafe_code)] // but for `kernel/x86.rs`
+#![deny(unsafe_code)] // but for `exact/kernel/x86.rs`
 
 pub mod coarse;
 mod drive;
 mod error;
 pub mod exact;
 mod gather;
-mod kernel;
 mod options;
 pub mod pattern;
 pub mod published;
@@ -15,9 +14,9 @@ mod receiver;
 pub mod table;
 
 pub use error::MaskError;
-pub use kernel::BackEnd;
 pub use options::{MaskOptions, Outputs, Sides};
 pub use pattern::{Pattern, PatternOptions, Points};
 pub use raster::{RasterCamera, RasterLevel, RasterOptions, RasterView, rasterize};
 pub use receiver::Receiver;
 pub use table::{MaskTables, NodeMasks, TableOptions};
+pub use umbrage_geom::simd::BackEnd;

@@ -309,6 +309,64 @@ mod tests {
         }
     }
 
+    proptest! {
+        /// What the proof takes for granted: how far ends and reciprocals are rounded, and to which side.
+        #[test]
+        fn numbers_are_rounded_to_the_safe_side(
+            d in [nasty(), nasty(), nasty()], tnear in prop_oneof![Just(0f32), 1e-3f32..2.0], length in 1e-3f32..4.0,
+            scale in prop::sample::select(vec![1f32, 1e-30, 1e18]),
+        ) {
+            let ray = Ray { origin: Vec3::ZERO, direction: Vec3::from(d) * scale, tnear, tfar: tnear + length };
+            prop_assume!(ray.is_valid());
+            let slab = SlabRay::new(&ray).unwrap();
+            // Exact: powers of two.
+            let scale = f64::from(slab.scale[0]) * f64::from(slab.scale[1]);
+            // Margins between a quarter of `2^-21` and twice that.
+            let below = |x: f32, exact: f64| {
+                let share = (exact - f64::from(x)) / exact;
+                (2f64.powi(-23)..2f64.powi(-20)).contains(&share)
+            };
+            let above = |x: f32, exact: f64| {
+                let share = (f64::from(x) - exact) / exact;
+                (2f64.powi(-23)..2f64.powi(-20)).contains(&share)
+            };
+            prop_assert!(slab.tnear == 0.0 && tnear == 0.0 || below(slab.tnear, f64::from(tnear) * scale));
+            prop_assert!(above(slab.tfar, f64::from(ray.tfar) * scale));
+            for axis in 0..3 {
+                let size = f64::from(ray.direction[axis].abs()) / scale;
+                let (near, far) = (slab.inv_near[axis].abs(), slab.inv_far[axis].abs());
+                prop_assert!(near.is_finite() && near < far);
+                if size >= 2f64.powi(-118) {
+                    prop_assert!(below(near, 1.0 / size) && above(far, 1.0 / size), "{} {} {}", near, far, 1.0 / size);
+                }
+            }
+        }
+
+        /// Boxes that end where the segment starts, and boxes that start where it ends: nothing but rounding to the safe side
+        /// finds them.
+        #[test]
+        fn boxes_that_meet_an_end_are_found(
+            direction in (1u32..1 << 12).prop_map(|x| x as f32), t in (1u32..1 << 12).prop_map(|x| x as f32), axis in 0usize..3,
+            across in prop::array::uniform2(-1e-3f32..1e-3),
+        ) {
+            let mut d = [across[0], across[1], 0.0];
+            d.swap(2, axis);
+            d[axis] = direction;
+            // A product of 24 bits, exact.
+            let face = direction * t;
+            let ray = Ray::new([0.0; 3], d);
+            let side = |low: f32, high: f32| {
+                let (mut min, mut max) = ([-1e30; 3], [1e30; 3]);
+                (min[axis], max[axis]) = (low, high);
+                Aabb { min: min.into(), max: max.into() }
+            };
+            let after = Ray { tnear: t, ..ray };
+            prop_assert!(side(-1.0, face).may_hit(&after) && side(face, face).may_hit(&after));
+            let before = ray.with_tfar(t);
+            prop_assert!(side(face, 1e30).may_hit(&before) && side(face, face).may_hit(&before));
+        }
+    }
+
     #[test]
     fn far_away_and_empty_boxes_are_missed() {
         let unit = Aabb::from_points(&[[0.0; 3], [1.0; 3]]);

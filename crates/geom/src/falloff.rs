@@ -148,6 +148,21 @@ mod tests {
     }
 
     #[test]
+    fn no_weight_is_left_at_the_radius() {
+        let step = Falloff::table(vec![1.0, 0.5]).unwrap();
+        let all = [Falloff::Constant, Falloff::Linear, Falloff::Quadratic, Falloff::Exponential, step];
+        for falloff in all {
+            for beyond in [1.0, 1f32.next_up(), 2.0, f32::INFINITY] {
+                assert_eq!(falloff.weight(beyond), 0.0, "{falloff:?} at {beyond}");
+            }
+            assert!(falloff.weight(1f32.next_down()) > 0.0, "{falloff:?}");
+            for start in [0.0, -1.0, f32::NAN] {
+                assert_eq!(falloff.weight(start), 1.0, "{falloff:?} at {start}");
+            }
+        }
+    }
+
+    #[test]
     fn names_and_tables_are_checked() {
         assert_eq!("linear".parse(), Ok(Falloff::Linear));
         assert_eq!("1, 0.5,0".parse(), Ok(Falloff::Table(vec![1.0, 0.5, 0.0])));

@@ -15,6 +15,7 @@ pub mod polygon;
 pub mod progress;
 pub mod ray;
 pub mod sampling;
+pub mod simd;
 pub mod triangle;
 
 mod exact;

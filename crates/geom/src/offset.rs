@@ -47,4 +47,20 @@ mod tests {
             prop_assert!(!segment_hits_triangle(&ray, [a.into(), b.into(), c.into()]));
         }
     }
+
+    /// Where all coordinates are 0, or so small that their product with an epsilon vanishes, the shift still doesn't.
+    #[test]
+    fn points_at_the_origin_are_moved_too() {
+        for size in [1.0, 1e-30, 1e-38, 1e-44] {
+            let triangle = [[0.0, 0.0, 0.0], [size, 0.0, 0.0], [0.0, size, 0.0]];
+            for direction in [Vec3::Z, Vec3::NEG_Z, Vec3::new(0.5, 0.25, 1e-3)] {
+                for magnitude in [0.0, size] {
+                    let origin = offset_origin(Vec3::ZERO, Vec3::Z, direction, magnitude);
+                    assert_eq!(origin.z.is_sign_negative(), direction.z.is_sign_negative());
+                    assert!(origin.z.abs() >= f32::MIN_POSITIVE, "{size}: {origin}");
+                    assert!(!segment_hits_triangle(&Ray::new(origin, direction), triangle));
+                }
+            }
+        }
+    }
 }

@@ -71,4 +71,20 @@ mod tests {
         assert_eq!(OpticalDepth::from_opacity(f32::NAN), OpticalDepth::OPAQUE);
         assert_eq!(OpticalDepth::from_opacity(0.0), OpticalDepth::CLEAR);
     }
+
+    #[test]
+    fn opaque_starts_where_the_transmittance_rounds_to_0() {
+        let (last, first) = (OpticalDepth(OpticalDepth::BLACK - 1), OpticalDepth(OpticalDepth::BLACK));
+        assert!(!last.is_opaque() && first.is_opaque());
+        // The smallest number above 0, and half of it, which is a tie with 0.
+        assert_eq!(last.transmittance(), f32::from_bits(1));
+        assert_eq!((first.transmittance(), 2f64.powi(-150) as f32), (0.0, 0.0));
+        // Sums get there by layers that each let something through.
+        let mut sum = OpticalDepth::CLEAR;
+        for layer in 1..=300 {
+            sum += OpticalDepth::from_opacity(1.0 - 0.5f32.sqrt());
+            assert_eq!(sum.is_opaque(), sum.transmittance() == 0.0, "{layer}");
+        }
+        assert!((149.9..150.1).contains(&sum.bits()));
+    }
 }

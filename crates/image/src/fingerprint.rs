@@ -1,5 +1,6 @@
 //! A hash of everything that decides about pixels, so that only shards of the same picture are joined.
 
+use umbrage_geom::TriangleMesh;
 use umbrage_scene::Scene;
 
 /// 64-bit FNV-1a: the same on every machine and in every version, which `std`'s hasher does not promise.
@@ -28,13 +29,23 @@ impl Fingerprint {
         }
     }
 
-    /// Adds the shape and the objects of a mesh.
-    pub fn mesh(&mut self, mesh: &umbrage_geom::TriangleMesh) {
-        self.words(mesh.positions.as_flattened().iter().map(|x| x.to_bits()));
-        self.words(mesh.triangles.as_flattened().iter().copied());
-        self.words(mesh.corner_normals.as_flattened().as_flattened().iter().map(|x| x.to_bits()));
-        self.words(mesh.corner_uvs.as_flattened().as_flattened().iter().map(|x| x.to_bits()));
-        self.bytes(format!("{:?}", mesh.objects).as_bytes());
+    /// Adds rows of numbers, and how many there are: so that numbers of one list don't pass for those of the next.
+    fn rows<const N: usize>(&mut self, rows: &[[f32; N]]) {
+        self.bytes(&(rows.len() as u64).to_le_bytes());
+        self.words(rows.as_flattened().iter().map(|x| x.to_bits()));
+    }
+
+    /// Adds all of a mesh: shape, normals, texture coordinates, colours and objects.
+    pub fn mesh(&mut self, mesh: &TriangleMesh) {
+        // Without `..`, so that a new field has to be added here.
+        let TriangleMesh { positions, triangles, corner_normals, corner_uvs, vertex_colors, objects } = mesh;
+        self.rows(positions);
+        self.bytes(&(triangles.len() as u64).to_le_bytes());
+        self.words(triangles.as_flattened().iter().copied());
+        self.rows(corner_normals.as_flattened());
+        self.rows(corner_uvs.as_flattened());
+        self.rows(vertex_colors);
+        self.bytes(format!("{objects:?}").as_bytes());
     }
 
     /// Adds a scene with its settings.
@@ -71,5 +82,31 @@ mod tests {
         assert_ne!(hash(&[1, 2]), hash(&[2, 1]));
         assert_ne!(hash(&[0]), hash(&[0, 0]));
         assert_ne!(hash(&[1 << 31]), hash(&[0]));
+    }
+
+    #[test]
+    fn every_part_of_a_mesh_counts() {
+        let plain = TriangleMesh::new(vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], vec![[0, 1, 2]]).unwrap();
+        let with = |change: fn(&mut TriangleMesh)| {
+            let mut mesh = plain.clone();
+            change(&mut mesh);
+            let mut f = Fingerprint::default();
+            f.mesh(&mesh);
+            f.finish()
+        };
+        let all = [
+            with(|_| {}),
+            with(|m| m.positions[2][2] = 1.0),
+            with(|m| m.triangles[0] = [1, 2, 0]),
+            with(|m| m.corner_normals = vec![[[0.0, 0.0, 1.0]; 3]]),
+            with(|m| m.corner_uvs = vec![[[0.5; 2]; 3]]),
+            with(|m| m.vertex_colors = vec![[0.5; 3]; 3]),
+            with(|m| m.vertex_colors = vec![[0.25; 3]; 3]),
+            with(|m| m.corner_normals = vec![[[0.5; 3]; 3]]),
+            with(|m| m.objects = m.objects_or_whole()),
+        ];
+        for (i, hash) in all.iter().enumerate() {
+            assert!(!all[..i].contains(hash), "change {i} is not seen");
+        }
     }
 }

@@ -1,5 +1,5 @@
 #![doc = include_str!("../README.md")]
-#![deny(unsafe_code)] // but for `kernel/x86.rs` of each module
+#![forbid(unsafe_code)]
 
 pub mod prefilter;
 pub mod volumetric;

@@ -16,22 +16,8 @@ use umbrage_geom::{
         scalar,
     },
     segment_hits_triangle,
+    simd::{Avx2, BackEnd},
 };
-
-#[cfg(target_arch = "x86_64")]
-pub(crate) use umbrage_geom::kernel::x86::Avx2;
-
-/// Proof that there is AVX2; there is none elsewhere.
-#[cfg(not(target_arch = "x86_64"))]
-#[derive(Clone, Copy)]
-pub(crate) enum Avx2 {}
-
-#[cfg(not(target_arch = "x86_64"))]
-impl Avx2 {
-    pub(crate) fn detect() -> Option<Self> {
-        None
-    }
-}
 
 /// A block seen from the origin of a fan.
 enum Planes {
@@ -137,7 +123,7 @@ impl Cells {
             numbers: vec![0.0; first_number + 2],
             nodes: Vec::with_capacity(first_node as usize),
             patch_of: Vec::with_capacity(first_node as usize),
-            avx2: Avx2::detect(),
+            avx2: BackEnd::best().instructions().avx2(),
         }
     }
 

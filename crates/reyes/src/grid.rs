@@ -299,7 +299,7 @@ impl Grid {
 #[inline(always)]
 fn filter(block: &TriangleLanes, ray: &BlockRay) -> umbrage_geom::kernel::BlockMask {
     #[cfg(target_arch = "x86_64")]
-    if let Some(avx2) = umbrage_geom::kernel::x86::Avx2::detect() {
+    if let Some(avx2) = umbrage_geom::simd::BackEnd::best().instructions().avx2() {
         return avx2.filter(block, ray);
     }
     scalar::filter(block, ray)

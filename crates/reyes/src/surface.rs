@@ -29,8 +29,8 @@ pub struct SurfaceOptions {
     /// Bytes that parts of patches may take in all, those of the control mesh left out; what does not fit is computed
     /// again each time.
     pub tree_bytes: usize,
-    /// Which instructions points are computed with; they don't depend on it. Where the processor has them not, plain code
-    /// serves.
+    /// Instruction set used to evaluate points; results are identical. Falls back to portable code if the processor lacks
+    /// it.
     pub back_end: BackEnd,
 }
 
@@ -41,7 +41,7 @@ impl Default for SurfaceOptions {
             tight_levels: 1,
             tree_bytes: 256 << 20,
             // AVX-512 code is slower here: see `docs/reyes.md`, Evaluation.
-            back_end: if BackEnd::Avx2.is_supported() { BackEnd::Avx2 } else { BackEnd::Scalar },
+            back_end: BackEnd::Avx2.unless_forced(),
         }
     }
 }

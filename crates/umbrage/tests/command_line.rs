@@ -120,6 +120,22 @@ fn a_picture_does_not_depend_on_threads_or_shards() {
 }
 
 #[test]
+fn parts_of_differently_coloured_scenes_are_strangers() {
+    let folder = Folder::new();
+    let triangle = |color: &str| {
+        ["0 0 0", "1 0 0", "0 1 0"].map(|p| format!("v {p} {color}\n")).concat() + "f 1 2 3\n"
+    };
+    fs::write(folder.path("red.obj"), triangle("1 0 0")).unwrap();
+    fs::write(folder.path("blue.obj"), triangle("0 0 1")).unwrap();
+    for (name, shard) in [("red", "1/2"), ("red", "2/2"), ("blue", "2/2")] {
+        let output = format!("{name}{}.exr", &shard[..1]);
+        folder.ok(&format!("render {name}.obj -o {output} --shard {shard} --size 40x30 --spp 1"));
+    }
+    folder.ok("merge joined.exr red1.exr red2.exr");
+    folder.fails("merge bad.exr red1.exr blue2.exr", &["blue2.exr", "differ"]);
+}
+
+#[test]
 fn a_mesh_alone_makes_a_picture() {
     let folder = Folder::new();
     folder.ok("render mesh.obj --size 64x48 --spp 1");

@@ -15,7 +15,7 @@ use crate::rows::{Output, Row, Timed, alternate, median, note, paired_speedup};
 use anyhow::Result;
 use serde_json::{Value, json};
 use umbrage_accel::{BuildOptions, Bvh};
-use umbrage_geom::{OpticalDepth, Ray, kernel::x86::Avx2};
+use umbrage_geom::{OpticalDepth, Ray, simd::Avx2};
 
 /// A scene and what its rows ask.
 const SCENES: [&str; 6] = ["bunny_60k", "sibenik", "hairball", "city", "cathedral", "bush"];

@@ -3,8 +3,9 @@
 use super::tree::{LEAF, Leaf, Tree};
 use umbrage_geom::{
     OpticalDepth, Ray, SlabRay,
-    kernel::{BlockRay, LANES, Work, run, x86::Avx2},
+    kernel::{BlockRay, LANES},
     segment_hits_triangle,
+    simd::{Avx2, BackEnd, Job},
 };
 
 /// Most children waiting: seven a level of a binary tree of at most 87, and the last node's.
@@ -204,7 +205,7 @@ struct Pass<'a, const W: usize, L, const NEAR_FIRST: bool> {
     question: Question,
 }
 
-impl<const W: usize, L: Leaves, const NEAR_FIRST: bool> Work for Pass<'_, W, L, NEAR_FIRST> {
+impl<const W: usize, L: Leaves, const NEAR_FIRST: bool> Job for Pass<'_, W, L, NEAR_FIRST> {
     type Output = Answers;
 
     #[inline(always)]
@@ -228,8 +229,8 @@ pub fn answer<const W: usize, L: Leaves>(
     near_first: bool,
 ) -> Answers {
     if near_first {
-        run(Pass::<W, L, true> { tree, rays, leaves, question })
+        BackEnd::Avx2.run(Pass::<W, L, true> { tree, rays, leaves, question })
     } else {
-        run(Pass::<W, L, false> { tree, rays, leaves, question })
+        BackEnd::Avx2.run(Pass::<W, L, false> { tree, rays, leaves, question })
     }
 }

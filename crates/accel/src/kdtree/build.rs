@@ -1,8 +1,12 @@
 //! The build: surface area heuristic over all candidate planes, in `O(n log n)`.
 //!
 //! WaldHavran06, section 4.3: the ends of all triangles' boxes are sorted once; every split takes the sorted lists apart,
-//! clips the triangles that reach across, sorts only their new ends and merges them in. Empty space is favoured as by
-//! Hurley, Kapustin, Reshetov and Soupikov 2002, which Djeu11, section 3.3 makes use of.
+//! clips the triangles that reach across, sorts only their new ends and merges them in. Costs are those of blocks of eight
+//! triangles. A split off of empty space costs [`KdOptions::empty_bonus`] less (Djeu11, section 3.3; the idea of Hurley,
+//! Kapustin, Reshetov and Soupikov 2002).
+//!
+//! Cells are also cut at *guards*: triangles that leaves don't hold. A leaf that only guards reach into has no blocks, but is
+//! no empty cell.
 
 use super::{
     KdOptions, clip,

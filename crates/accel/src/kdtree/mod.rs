@@ -16,7 +16,7 @@ pub use walk::{Blocker, Cells, KdCounters, KdScratch, KdStatistics, Order, Searc
 use crate::{
     BackEnd, BuildError,
     bvh::MAX_PRIMS,
-    kernel::{Job, Kernel},
+    kernel::{self, Job, Kernel},
 };
 use node::Node;
 use umbrage_geom::{
@@ -165,7 +165,7 @@ impl KdTree {
         stats: &mut impl KdStatistics,
     ) -> [Blocker; N] {
         const { assert!(N >= 1 && N <= 32, "lanes are bits of one word") };
-        self.back_end.run(Blockers { tree: self, rays, order, cells, scratch, stats })
+        kernel::run(self.back_end, Blockers { tree: self, rays, order, cells, scratch, stats })
     }
 
     /// Smallest box around all triangles and guards.

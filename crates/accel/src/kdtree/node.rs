@@ -1,13 +1,14 @@
 //! Nodes of eight bytes.
 //!
-//! An inner node keeps its split plane and the place of its right child; the left child follows it. A leaf has no child, and
-//! keeps its volumetric state in two bits of the unused pointer (Djeu11, section 3.3).
+//! An inner node keeps its split plane, the place of its right child, and which child [`super::Search::Solid`] visits
+//! first; the left child follows the node. A leaf keeps its volumetric state (Djeu11, section 3.3) in two bits beside the
+//! number of its blocks, and where these start; an opaque leaf, which has no blocks, keeps a slot instead.
 
 /// What a leaf's cell is to a solid, Djeu11, section 3.3.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum LeafState {
-    /// Triangles may reach into the cell, or something else makes it useless.
+    /// Triangles or guards may reach into the cell, or it is neither inside nor outside of solids for another reason.
     Boundary = 0,
     /// No triangle, outside of every solid.
     Clear = 1,
@@ -69,7 +70,7 @@ impl Node {
         self.word = self.word & 7 | (right as u32) << 3;
     }
 
-    /// Whether [`super::Order::SolidFirst`] visits the right child first.
+    /// Whether [`super::Search::Solid`] visits the right child first.
     #[inline(always)]
     pub(crate) fn right_first(self) -> bool {
         self.word & 4 != 0

@@ -5,16 +5,17 @@ mod scalar;
 mod x86;
 
 pub(crate) use scalar::Scalar;
-#[cfg(target_arch = "x86_64")]
-pub(crate) use umbrage_geom::kernel::x86::Avx2;
 
 use crate::{
     node::{MAX_LEVELS, Node, Note, WIDTH},
     solid::SolidPack,
 };
+#[cfg(target_arch = "x86_64")]
+use umbrage_geom::simd::Avx2;
 use umbrage_geom::{
     Ray, SlabRay,
     kernel::{BlockMask, BlockRay, TriangleBlock, fan::FanRays},
+    simd::{BackEnd, Dispatch},
 };
 
 /// Most rays of one origin that walk together.
@@ -240,55 +241,28 @@ pub(crate) trait Job {
     fn run<K: Kernel>(self, kernel: K) -> Self::Output;
 }
 
-/// Which instructions a structure's queries use. Answers don't depend on it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum BackEnd {
-    /// Portable code, one box or triangle at a time.
-    Scalar,
-    /// AVX2 and FMA, eight at a time.
-    Avx2,
-    /// The same with 32 registers and mask registers.
-    Avx512,
+/// A job as work with code of its own for each kernel.
+struct OnKernel<J>(J);
+
+impl<J: Job> Dispatch for OnKernel<J> {
+    type Output = J::Output;
+
+    #[inline(always)]
+    fn portable(self) -> J::Output {
+        self.0.run(Scalar)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn avx2(self, avx2: Avx2) -> J::Output {
+        self.0.run(avx2)
+    }
 }
 
-impl BackEnd {
-    /// The fastest one that this processor has.
-    pub fn best() -> Self {
-        let fastest_first = [Self::Avx512, Self::Avx2];
-        fastest_first.into_iter().find(|back_end| back_end.is_supported()).unwrap_or(Self::Scalar)
-    }
-
-    /// Whether this processor has it.
-    pub fn is_supported(self) -> bool {
-        match self {
-            Self::Scalar => true,
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => Avx2::detect().is_some(),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => x86::Avx512::detect().is_some(),
-            #[cfg(not(target_arch = "x86_64"))]
-            Self::Avx2 | Self::Avx512 => false,
-        }
-    }
-
-    /// Runs `job` on this back end, or on the portable one where it is missing.
-    #[inline]
-    pub(crate) fn run<J: Job>(self, job: J) -> J::Output {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => match Avx2::detect() {
-                Some(avx2) => x86::run(avx2, job),
-                None => job.run(Scalar),
-            },
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => match x86::Avx512::detect() {
-                Some(avx512) => avx512.run(job),
-                None => job.run(Scalar),
-            },
-            _ => job.run(Scalar),
-        }
-    }
+/// Runs `job` on the kernel of `back_end`, or on the portable one where the processor lacks it.
+#[inline]
+pub(crate) fn run<J: Job>(back_end: BackEnd, job: J) -> J::Output {
+    back_end.dispatch(OnKernel(job))
 }
 
 #[cfg(test)]

@@ -1,65 +1,27 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::{Ahead, Avx2, Columns, FAN, Fan, Job, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack, surely};
+use super::{Ahead, Columns, FAN, Fan, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack, surely};
 use crate::{
     node::{Node, Note, WIDTH},
     solid::SolidPack,
 };
 use std::arch::x86_64::*;
-use umbrage_geom::kernel::{
-    BlockMask, BlockRay, TriangleBlock,
-    fan::{self, FanRays},
+use umbrage_geom::{
+    kernel::{
+        BlockMask, BlockRay, TriangleBlock,
+        fan::{self, FanRays},
+    },
+    simd::{
+        Avx2,
+        x86::{self, count_ones, load, sorted, store},
+    },
 };
-
-/// Runs `job` compiled for AVX2 and FMA: everything it inlines may use them.
-#[inline]
-pub(crate) fn run<J: Job>(avx2: Avx2, job: J) -> J::Output {
-    #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
-    fn shell<J: Job>(avx2: Avx2, job: J) -> J::Output {
-        job.run(avx2)
-    }
-    // SAFETY: `avx2` proves the target features.
-    unsafe { shell(avx2, job) }
-}
-
-/// Proof that this processor has AVX-512 with 256-bit forms (F, VL, DQ, BW), besides what [`Avx2`] proves.
-///
-/// The code of [`Avx2`] compiled once more: twice the registers and comparisons into mask registers. 512-bit vectors gain
-/// nothing where they take two cycles.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Avx512(Avx2);
-
-impl Avx512 {
-    /// Asks the processor.
-    pub(crate) fn detect() -> Option<Self> {
-        let all = is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("avx512bw");
-        if all { Avx2::detect().map(Self) } else { None }
-    }
-
-    /// Runs `job` compiled for AVX-512.
-    #[inline]
-    pub(crate) fn run<J: Job>(self, job: J) -> J::Output {
-        #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-        fn shell<J: Job>(avx2: Avx2, job: J) -> J::Output {
-            job.run(avx2)
-        }
-        // SAFETY: `self` proves the target features.
-        unsafe { shell(self.0, job) }
-    }
-}
 
 /// The planes of row `row` of axis `axis`.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
 fn planes(node: &Node, row: usize, axis: usize) -> __m256 {
-    // SAFETY: a row is eight bytes.
-    let numbers = unsafe { _mm_loadl_epi64(node.grid[row % 6].as_ptr().cast()) };
-    let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
-    // The product is exact, so that fusing changes nothing.
-    _mm256_fmadd_ps(numbers, _mm256_set1_ps(node.step[axis]), _mm256_set1_ps(node.base[axis]))
+    x86::planes(&node.grid[row % 6], node.step[axis], node.base[axis])
 }
 
 /// Entry and exit of each child.
@@ -82,8 +44,7 @@ fn slabs(node: &Node, ray: &NodeRay, tfar: f32) -> (__m256, __m256) {
 #[inline]
 #[target_feature(enable = "avx2")]
 fn pack_row(pack: &SolidPack, row: usize) -> __m256 {
-    // SAFETY: rows are eight floats, aligned as the pack is.
-    unsafe { _mm256_load_ps(pack.rows[row % 6].as_ptr()) }
+    load(&pack.rows[row % 6])
 }
 
 /// Lanes of which the ends of the segment and the planes of all axes leave something.
@@ -119,8 +80,7 @@ fn pack_rows(pack: &SolidPack, origin: [f32; 3]) -> Rows {
     let mut rows = Rows([[0.0; WIDTH]; 6]);
     for (i, row) in rows.0.iter_mut().enumerate() {
         let relative = _mm256_sub_ps(pack_row(pack, i), _mm256_set1_ps(origin[i / 2]));
-        // SAFETY: a row is eight floats.
-        unsafe { _mm256_storeu_ps(row.as_mut_ptr(), relative) };
+        store(row, relative);
     }
     rows
 }
@@ -142,8 +102,7 @@ fn rows(node: &Node, origin: [f32; 3]) -> Rows {
     let mut rows = Rows([[0.0; WIDTH]; 6]);
     for (i, row) in rows.0.iter_mut().enumerate() {
         let relative = _mm256_sub_ps(planes(node, i, i / 2), _mm256_set1_ps(origin[i / 2]));
-        // SAFETY: a row is eight floats.
-        unsafe { _mm256_storeu_ps(row.as_mut_ptr(), relative) };
+        store(row, relative);
     }
     rows
 }
@@ -153,8 +112,7 @@ fn rows(node: &Node, origin: [f32; 3]) -> Rows {
 #[target_feature(enable = "avx2")]
 fn ends(rows: &Rows, axis: usize, negative: u32) -> [__m256; 2] {
     let row = 2 * axis + (negative as usize & 1);
-    // SAFETY: rows are eight floats, aligned as all of them are.
-    unsafe { [_mm256_load_ps(rows.0[row].as_ptr()), _mm256_load_ps(rows.0[row ^ 1].as_ptr())] }
+    [load(&rows.0[row]), load(&rows.0[row ^ 1])]
 }
 
 /// Later entry and earlier exit of each child for ray `r`, from those given, by [`ends`] of each axis.
@@ -223,10 +181,7 @@ fn columns(rows: &Rows, fan: &Fan, mut left: u32) -> __m256i {
 fn sizes(rows: &Rows, note: &Note) -> Sizes {
     let (mut square, mut distance) = (_mm256_setzero_ps(), _mm256_setzero_ps());
     for axis in 0..3 {
-        // SAFETY: rows are eight floats, aligned as all of them are.
-        let (low, high) = unsafe {
-            (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
-        };
+        let (low, high) = (load(&rows.0[2 * axis]), load(&rows.0[2 * axis + 1]));
         let (size, middle) = (_mm256_sub_ps(high, low), _mm256_add_ps(low, high));
         square = _mm256_add_ps(square, _mm256_mul_ps(size, size));
         distance = _mm256_add_ps(distance, _mm256_mul_ps(middle, middle));
@@ -284,46 +239,12 @@ fn enter_or_end(
 fn overlap(rows: &Rows, low: [f32; 3], high: [f32; 3]) -> u32 {
     let mut reaches = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
     for axis in 0..3 {
-        // SAFETY: rows are eight floats, aligned as all of them are.
-        let (least, greatest) = unsafe {
-            (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
-        };
+        let (least, greatest) = (load(&rows.0[2 * axis]), load(&rows.0[2 * axis + 1]));
         let below = _mm256_cmp_ps::<_CMP_LE_OQ>(least, _mm256_set1_ps(high[axis]));
         let above = _mm256_cmp_ps::<_CMP_GE_OQ>(greatest, _mm256_set1_ps(low[axis]));
         reaches = _mm256_and_ps(reaches, _mm256_and_ps(below, above));
     }
     _mm256_movemask_ps(reaches) as u32
-}
-
-/// Number of set bits in each lane.
-#[inline]
-#[target_feature(enable = "avx2")]
-fn count_ones(x: __m256i) -> __m256i {
-    let of_nibble =
-        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4));
-    let nibbles = _mm256_set1_epi8(0xf);
-    let low = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(x, nibbles));
-    let high = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(_mm256_srli_epi32::<4>(x), nibbles));
-    let pairs = _mm256_maddubs_epi16(_mm256_add_epi8(low, high), _mm256_set1_epi8(1));
-    _mm256_madd_epi16(pairs, _mm256_set1_epi16(1))
-}
-
-/// Sorts lanes, the smallest first: a network of six layers.
-#[inline]
-#[target_feature(enable = "avx2")]
-fn sort(x: __m256i) -> __m256i {
-    #[inline]
-    #[target_feature(enable = "avx2")]
-    fn exchange<const LARGER: i32>(x: __m256i, partner: __m256i) -> __m256i {
-        _mm256_blend_epi32::<LARGER>(_mm256_min_epu32(x, partner), _mm256_max_epu32(x, partner))
-    }
-    let x = exchange::<0b1100_1100>(x, _mm256_shuffle_epi32::<0b01_00_11_10>(x));
-    let x = exchange::<0b1111_0000>(x, _mm256_permute2x128_si256::<1>(x, x));
-    let x = exchange::<0b1010_1010>(x, _mm256_shuffle_epi32::<0b10_11_00_01>(x));
-    let x = exchange::<0b0011_0000>(x, _mm256_permute4x64_epi64::<0b11_01_10_00>(x));
-    let x =
-        exchange::<0b0101_0000>(x, _mm256_permutevar8x32_epi32(x, _mm256_setr_epi32(0, 4, 2, 6, 1, 5, 3, 7)));
-    exchange::<0b0101_0100>(x, _mm256_permutevar8x32_epi32(x, _mm256_setr_epi32(0, 2, 1, 4, 3, 6, 5, 7)))
 }
 
 #[inline]
@@ -366,10 +287,7 @@ fn push(
     let merits = _mm256_castsi256_ps(_mm256_slli_epi32::<20>(merits));
     let mut way = _mm256_set1_ps(fan.ahead.offset);
     for axis in 0..3 {
-        // SAFETY: rows are eight floats, aligned as all of them are.
-        let (low, high) = unsafe {
-            (_mm256_load_ps(rows.0[2 * axis].as_ptr()), _mm256_load_ps(rows.0[2 * axis + 1].as_ptr()))
-        };
+        let (low, high) = (load(&rows.0[2 * axis]), load(&rows.0[2 * axis + 1]));
         way = _mm256_fmadd_ps(_mm256_add_ps(low, high), _mm256_set1_ps(fan.ahead.direction[axis]), way);
     }
     let way = _mm256_min_ps(_mm256_max_ps(way, _mm256_setzero_ps()), _mm256_set1_ps(Ahead::MOST));
@@ -379,7 +297,7 @@ fn push(
         merits,
     ));
     let key = _mm256_or_si256(_mm256_andnot_si256(_mm256_set1_epi32(7), key), lanes);
-    let order = sort(_mm256_or_si256(key, dropped));
+    let order = sorted::<false>(_mm256_or_si256(key, dropped));
     assert!(top + WIDTH <= stack.rays.len(), "the tree has no more levels than the stack");
     // SAFETY: eight entries from `top` are in the stack, and there are eight children.
     unsafe {
@@ -391,14 +309,6 @@ fn push(
     }
     let dropped = _mm256_movemask_ps(_mm256_castsi256_ps(dropped)) as u32;
     top + WIDTH - dropped.count_ones() as usize
-}
-
-#[inline]
-#[target_feature(enable = "sse")]
-fn prefetch(target: *const u8, bytes: usize) {
-    for offset in (0..bytes).step_by(64) {
-        _mm_prefetch::<_MM_HINT_T0>(target.cast::<i8>().wrapping_add(offset));
-    }
 }
 
 impl Kernel for Avx2 {
@@ -466,8 +376,7 @@ impl Kernel for Avx2 {
 
     #[inline(always)]
     fn prefetch(self, target: *const u8, bytes: usize) {
-        // SAFETY: `self` proves the target features.
-        unsafe { prefetch(target, bytes) }
+        Avx2::prefetch(self, target, bytes);
     }
 
     #[inline(always)]
@@ -548,35 +457,5 @@ impl Kernel for Avx2 {
     ) -> u32 {
         // SAFETY: `self` proves the target features.
         unsafe { enter_or_end(rows, sizes, rays, r % FAN, limit, columns, covered) }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_network_sorts() {
-        if Avx2::detect().is_none() {
-            return;
-        }
-        let sorted = |values: [u32; WIDTH]| {
-            // SAFETY: AVX2 is there; arrays and vectors are as large.
-            unsafe {
-                let x = sort(std::mem::transmute::<[u32; WIDTH], __m256i>(values));
-                (
-                    std::mem::transmute::<__m256i, [u32; WIDTH]>(x),
-                    std::mem::transmute::<__m256i, [u32; WIDTH]>(count_ones(x)),
-                )
-            }
-        };
-        // A network that sorts zeros and ones sorts everything.
-        for bits in 0..256u32 {
-            let mut values = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| (bits >> i & 1) * (u32::MAX - i));
-            let (order, counts) = sorted(values);
-            values.sort_unstable();
-            assert_eq!(order, values);
-            assert_eq!(counts, values.map(u32::count_ones));
-        }
     }
 }

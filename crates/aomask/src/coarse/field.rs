@@ -11,7 +11,7 @@ use super::{
     Cones, FarField,
     voxelize::{Grid, LEVELS, LINES, Level},
 };
-use crate::{BackEnd, MaskError, kernel::Job};
+use crate::{BackEnd, MaskError};
 use std::sync::atomic::{AtomicU64, Ordering};
 use umbrage_accel::BuildError;
 use umbrage_geom::{
@@ -19,6 +19,7 @@ use umbrage_geom::{
     glam::{DVec3, Vec3},
     mesh::validate_slices,
     sampling::{combine, hash, unit},
+    simd::Job,
 };
 
 /// Directions.

@@ -7,10 +7,12 @@ use super::{
 };
 use crate::{
     Pattern, Receiver, Sides,
-    kernel::Job,
     table::{F8, TriangleTables, Triangles, V8},
 };
-use umbrage_geom::glam::{DVec3, Vec3};
+use umbrage_geom::{
+    glam::{DVec3, Vec3},
+    simd::Job,
+};
 
 /// Pixels along each side of a tile.
 pub(super) const TILE: usize = 64;

@@ -8,8 +8,8 @@ use super::{
     lanes::{F8, U8, V8},
     plane::{Rays, chord},
 };
-use crate::kernel::{BackEnd, Job};
-use umbrage_geom::glam::Vec3;
+use crate::BackEnd;
+use umbrage_geom::{glam::Vec3, simd::Job};
 
 /// Masks of the rays on the positive side of a plane through the receiver, by the plane's normal: six faces of
 /// `resolution^2` cells. Centres of outermost cells lie on the edges of the cube.

@@ -22,14 +22,13 @@ use crate::{
     BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver,
     drive::{self, Engine},
     gather::{self, Answers},
-    kernel::Job,
 };
 use edge::EdgeTable;
 use node_mask::{NodeLookup, Silhouettes};
 use plane::PlaneTable;
 use traversal::{Scene, Stack};
 use umbrage_accel::Bvh;
-use umbrage_geom::glam::Vec3;
+use umbrage_geom::{glam::Vec3, simd::Job};
 
 /// Cells along each side of the cube map of silhouettes.
 const RIMS: u32 = 40;

@@ -196,7 +196,7 @@ impl<const W: usize> NodeLookup<'_, W> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kernel::BackEnd;
+    use crate::BackEnd;
     use proptest::prelude::*;
     use umbrage_geom::{Aabb, Ray, glam::Vec3};
 

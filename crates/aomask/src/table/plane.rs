@@ -4,8 +4,8 @@
 //! the table's surface (`edge.rs`), which planes a triangle or a node asks for (`triangle_mask.rs`, `node_mask.rs`).
 
 use super::lanes::{F8, V8};
-use crate::kernel::{BackEnd, Job};
-use umbrage_geom::glam::Vec3;
+use crate::BackEnd;
+use umbrage_geom::{glam::Vec3, simd::Job};
 
 /// Share of the table's radius that distances take, the `7/8` of the paper.
 const DEPTH: f32 = 0.875;

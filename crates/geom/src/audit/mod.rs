@@ -15,7 +15,7 @@ mod intersect;
 
 pub use intersect::self_intersections;
 
-use crate::Aabb;
+use crate::{Aabb, is_degenerate};
 use glam::DVec3;
 
 /// Most examples that a finding keeps.
@@ -178,7 +178,8 @@ pub fn edges(triangles: &[[u32; 3]], welded: &[u32]) -> Edges {
 /// Turns triangles so that each component is consistent and faces outwards.
 ///
 /// Djeu11, section 3.2 sends a ray from outside to find the side of the normals; the signed volume says the same of a
-/// component that doesn't cut itself, and chooses well for others.
+/// component that doesn't cut itself, and chooses well for others. Triangles without area have no side: the order of their
+/// corners makes no difference, and components of nothing else get the turns that leave the fewest edges open.
 ///
 /// # Panics
 /// If a triangle names a vertex that does not exist.
@@ -192,38 +193,105 @@ pub fn orient(positions: &[[f32; 3]], triangles: &[[u32; 3]], welded: &[u32]) ->
     }
     let mut used = vec![false; triangles.len()];
     halves.iter().for_each(|half| used[half.2 as usize] = true);
+    let members: Vec<Member> = (0..triangles.len())
+        .filter(|&t| used[t])
+        .map(|t| {
+            let (root, reversed) = sets.find(t as u32);
+            let corners = triangles[t].map(|v| positions[v as usize]);
+            Member { triangle: t, root: root as usize, reversed, flat: is_degenerate(corners) }
+        })
+        .collect();
+    // Of each component: its first triangle with area, or else its first triangle in the order of welded corners; turns are
+    // relative to that.
+    let mut reference: Vec<Option<bool>> = vec![None; triangles.len()];
+    for member in members.iter().filter(|m| !m.flat) {
+        reference[member.root].get_or_insert(member.reversed);
+    }
+    let flat_component: Vec<bool> = reference.iter().map(Option::is_none).collect();
+    for member in members.iter().filter(|m| flat_component[m.root]) {
+        let [a, b, c] = triangles[member.triangle].map(|v| welded[v as usize]);
+        let odd = (a > b) ^ (b > c) ^ (a > c);
+        reference[member.root].get_or_insert(member.reversed ^ odd);
+    }
+
     let mut turns = vec![0i8; triangles.len()];
     let mut volumes = vec![0f64; triangles.len()];
     let bounds = Aabb::from_points(positions);
     let center = bounds.min.as_dvec3() * 0.5 + bounds.max.as_dvec3() * 0.5;
     let mut orientation = Orientation::default();
-    for t in (0..triangles.len()).filter(|&t| used[t]) {
-        let (root, reversed) = sets.find(t as u32);
-        turns[t] = if reversed { -1 } else { 1 };
-        let [a, b, c] = triangles[t].map(|v| DVec3::from(positions[v as usize].map(f64::from)) - center);
-        volumes[root as usize] += f64::from(turns[t]) * a.dot(b.cross(c));
-        orientation.components += u32::from(root as usize == t);
-    }
-    for t in (0..triangles.len()).filter(|&t| used[t]) {
-        let (root, _) = sets.find(t as u32);
-        let outwards: i8 = if volumes[root as usize] < 0.0 { -1 } else { 1 };
-        turns[t] *= outwards;
-        if sets.one_sided[root as usize] {
-            turns[t] = 0;
-        }
-        if root as usize == t {
-            orientation.one_sided += u32::from(turns[t] == 0);
-            orientation.inwards += u32::from(turns[t] < 0);
+    for &Member { triangle: t, root, reversed, flat } in &members {
+        turns[t] = if reference[root] == Some(reversed) { 1 } else { -1 };
+        if !flat {
+            let [a, b, c] = triangles[t].map(|v| DVec3::from(positions[v as usize].map(f64::from)) - center);
+            volumes[root] += f64::from(turns[t]) * a.dot(b.cross(c));
         }
     }
+    for &Member { triangle: t, root, .. } in &members {
+        let (inwards, one_sided) = (volumes[root] < 0.0, sets.one_sided[root]);
+        turns[t] *= if one_sided { 0 } else { 1 - 2 * i8::from(inwards) };
+        if root == t {
+            orientation.components += 1;
+            orientation.one_sided += u32::from(one_sided);
+            orientation.inwards += u32::from(inwards && !one_sided);
+        }
+    }
+    balance(&halves, &members, &flat_component, &mut turns);
     for edge in halves.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        let net: i32 = edge.iter().map(|h| i32::from(turns[h.2 as usize]) * if h.3 { -1 } else { 1 }).sum();
+        let net: i32 = edge.iter().map(|half| runs(half, &turns)).sum();
         let (a, b) = (edge[0].0, edge[0].1);
         let direction = if net > 0 { [a, b] } else { [b, a] };
         orientation.open.extend(std::iter::repeat_n(direction, net.unsigned_abs() as usize));
     }
     orientation.turns = turns;
     orientation
+}
+
+/// A triangle with three different corners.
+struct Member {
+    triangle: usize,
+    /// Its component, and whether it is turned the other way than the component's root.
+    root: usize,
+    reversed: bool,
+    /// Whether it has no area.
+    flat: bool,
+}
+
+/// How a side runs along its edge, turned: 1 from the smaller to the larger vertex, -1 the other way, 0 if left out.
+fn runs(half: &Half, turns: &[i8]) -> i32 {
+    i32::from(turns[half.2 as usize]) * if half.3 { -1 } else { 1 }
+}
+
+/// Turns components without area, one after the other, as they are, over, or leaves them out: whatever leaves least open.
+fn balance(halves: &[Half], members: &[Member], flat_component: &[bool], turns: &mut [i8]) {
+    let mut component = vec![usize::MAX; turns.len()];
+    members.iter().filter(|m| flat_component[m.root]).for_each(|m| component[m.triangle] = m.root);
+    if component.iter().all(|&root| root == usize::MAX) {
+        return;
+    }
+    // Sums of how sides run along each edge, and the sides of each flat component with their edges.
+    let mut sums = Vec::new();
+    let mut sides: Vec<(usize, usize, &Half)> = Vec::new();
+    for (edge, all) in halves.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).enumerate() {
+        sums.push(all.iter().map(|half| runs(half, turns)).sum::<i32>());
+        let flat = all.iter().filter(|half| component[half.2 as usize] != usize::MAX);
+        sides.extend(flat.map(|half| (component[half.2 as usize], edge, half)));
+    }
+    sides.sort_unstable_by_key(|&(component, edge, _)| (component, edge));
+    for sides in sides.chunk_by(|a, b| a.0 == b.0) {
+        let own: Vec<(usize, i32)> = sides
+            .chunk_by(|a, b| a.1 == b.1)
+            .map(|edge| (edge[0].1, edge.iter().map(|(_, _, half)| runs(half, turns)).sum()))
+            .collect();
+        let open =
+            |turn: i32| own.iter().map(|&(edge, run)| (sums[edge] - run + turn * run).abs()).sum::<i32>();
+        let turn = [1, -1, 0].into_iter().min_by_key(|&turn| open(turn)).unwrap_or(1);
+        own.iter().for_each(|&(edge, run)| sums[edge] += (turn - 1) * run);
+        let members = sides.iter().map(|(_, _, half)| half.2 as usize);
+        let mut members: Vec<usize> = members.collect();
+        members.sort_unstable();
+        members.dedup();
+        members.into_iter().for_each(|t| turns[t] *= turn as i8);
+    }
 }
 
 /// Union-find of triangles, each with its turn relative to its parent.

@@ -99,6 +99,25 @@ fn a_moebius_strip_has_one_side() {
     assert!(audit.orientation.turns.iter().all(|&turn| turn == 0));
 }
 
+/// What is wrong with a set of triangles is still wrong once the set joins a triangle of a smaller index.
+#[test]
+fn a_moebius_strip_stays_one_sided_when_it_grows() {
+    let positions: Vec<[f32; 3]> = (0..6u8)
+        .map(|i| {
+            let angle = f32::from(i) * 1.1;
+            [angle.cos(), angle.sin(), f32::from(i * i) * 0.1]
+        })
+        .collect();
+    // A strip of five triangles over five vertices. The edge from 3 to 4 is on its border, and comes last.
+    let strip = [0, 1, 3, 2, 4];
+    let mut triangles = vec![[3, 4, 5]];
+    triangles.extend((0..5).map(|i| [0, 1, 2].map(|k| strip[(i + k) % 5])));
+    let audit = check(&(positions, triangles));
+    assert_eq!((audit.orientation.components, audit.orientation.one_sided), (1, 1));
+    assert!(audit.orientation.turns.iter().all(|&turn| turn == 0));
+    assert!(!audit.encloses());
+}
+
 #[test]
 fn nested_shells_both_face_outwards() {
     let mut inner = cube([0.25; 3], 0.5);
@@ -171,5 +190,89 @@ proptest! {
         }
         orientation.open.iter().for_each(|&[from, to]| add(from, to, -1));
         prop_assert_eq!(balance, [[0; 7]; 7]);
+    }
+}
+
+/// Meshes on a small grid, where triangles without area and edges of many triangles are common.
+fn crowded() -> impl Strategy<Value = Mesh> {
+    let point = prop::array::uniform3((0u8..2).prop_map(f32::from));
+    // Three points in a row, so that triangles without area have three different corners.
+    let positions = prop::collection::vec(point, 3..6).prop_map(|mut positions| {
+        positions.extend([
+            [0.0, 0.0, 0.0],
+            [0.5, 0.0, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0, 0.5, 0.0],
+            [0.0, 1.0, 0.0],
+        ]);
+        positions
+    });
+    (
+        positions,
+        prop::collection::vec(prop::array::uniform3(any::<prop::sample::Index>()), 1..14),
+        any::<bool>(),
+    )
+        .prop_map(|(positions, corners, doubled)| {
+            let count = positions.len();
+            let mut triangles: Vec<[u32; 3]> =
+                corners.iter().map(|t| [0, 1, 2].map(|i| t[i].index(count) as u32)).collect();
+            if doubled {
+                // Both sides of every triangle, so that all that has area balances.
+                triangles.extend(triangles.clone().iter().map(|&[a, b, c]| [c, b, a]));
+            }
+            (positions, triangles)
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4000))]
+    #[test]
+    fn the_order_of_corners_without_area_changes_nothing(mesh in crowded(), order in any::<u32>()) {
+        let mut other = mesh.clone();
+        let mut changed = false;
+        for (i, triangle) in other.1.iter_mut().enumerate() {
+            if is_degenerate(triangle.map(|v| mesh.0[v as usize])) && order >> (i % 32) & 1 == 1 {
+                triangle.swap(i % 3, (i + 1) % 3);
+                changed = true;
+            }
+        }
+        prop_assume!(changed);
+        let (a, b) = (check(&mesh).orientation, check(&other).orientation);
+        prop_assert_eq!(a.closed(), b.closed());
+        prop_assert_eq!((a.components, a.inwards, a.one_sided), (b.components, b.inwards, b.one_sided));
+        prop_assert_eq!(&a.open, &b.open);
+        for (t, triangle) in mesh.1.iter().enumerate() {
+            let flat = is_degenerate(triangle.map(|v| mesh.0[v as usize]));
+            prop_assert!(flat || a.turns[t] == b.turns[t]);
+        }
+    }
+}
+
+/// A hole along a line that only a triangle without area closes, twice: along the line there are four triangles.
+#[test]
+fn triangles_without_area_close_what_they_can() {
+    // Two tetrahedra on either side of the edge from 0 to 1, which one of them has split at 2.
+    let positions = vec![
+        [0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.5, 0.0, 0.0],
+        [0.5, 1.0, 0.0],
+        [0.5, 0.5, 1.0],
+        [0.5, -1.0, 0.0],
+        [0.5, -0.5, 1.0],
+    ];
+    let whole = [[0, 3, 1], [0, 1, 4], [1, 3, 4], [0, 4, 3]];
+    let split = [[0, 2, 5], [2, 1, 5], [0, 6, 2], [2, 6, 1], [1, 6, 5], [0, 5, 6]];
+    let mut triangles: Vec<[u32; 3]> = whole.into_iter().chain(split).collect();
+    let closed = check(&(positions.clone(), triangles.clone()));
+    assert!(closed.encloses());
+    // The upper one opened along the split edge and closed again by a triangle without area, in any order of corners.
+    triangles[0] = [0, 3, 2];
+    triangles.push([2, 3, 1]);
+    assert!(!check(&(positions.clone(), triangles.clone())).encloses());
+    for flat in [[0, 1, 2], [1, 0, 2], [2, 0, 1], [2, 1, 0], [0, 2, 1], [1, 2, 0]] {
+        let mut triangles = triangles.clone();
+        triangles.push(flat);
+        assert!(check(&(positions.clone(), triangles)).encloses(), "{flat:?}");
     }
 }

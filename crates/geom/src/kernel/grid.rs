@@ -214,7 +214,7 @@ mod tests {
                 prop_assert!(mask >> i & 1 == 1 || slab.entry(b, slab.tfar).is_none());
             }
             #[cfg(target_arch = "x86_64")]
-            if let Some(avx2) = crate::kernel::x86::Avx2::detect() {
+            if let Some(avx2) = crate::simd::Avx2::detect() {
                 let used = (1u32 << boxes.len()) - 1;
                 prop_assert_eq!(avx2.entered(&block, &slab) & used, mask & used);
             }
@@ -228,7 +228,7 @@ mod tests {
                 prop_assert!(column != 0 || !slab.surely_crosses(b));
             }
             #[cfg(target_arch = "x86_64")]
-            if let Some(avx2) = crate::kernel::x86::Avx2::detect() {
+            if let Some(avx2) = crate::simd::Avx2::detect() {
                 let same = avx2.columns(&block, ray.origin.to_array(), &fan, 0b101);
                 prop_assert_eq!(&same[..boxes.len()], &columns[..boxes.len()]);
             }
@@ -249,7 +249,7 @@ mod tests {
             let Some(prepared) = BlockRay::new(&ray) else { return Ok(()) };
             prop_assert_eq!(scalar::filter(&cells, &prepared), scalar::filter(&lanes, &prepared));
             #[cfg(target_arch = "x86_64")]
-            if let Some(avx2) = crate::kernel::x86::Avx2::detect() {
+            if let Some(avx2) = crate::simd::Avx2::detect() {
                 prop_assert_eq!(avx2.filter(&cells, &prepared), avx2.filter(&lanes, &prepared));
             }
             let mut rays = FanRays::<CHUNK>::default();
@@ -267,7 +267,7 @@ mod tests {
             };
             check(fan::scalar::Planes::new(&cells, origin).filter(d, rays.near[0], rays.far[0]))?;
             #[cfg(target_arch = "x86_64")]
-            if let Some(avx2) = crate::kernel::x86::Avx2::detect() {
+            if let Some(avx2) = crate::simd::Avx2::detect() {
                 check(avx2.fan_filter(&avx2.planes(&cells, origin), d, rays.near[0], rays.far[0]))?;
             }
         }

@@ -37,26 +37,6 @@ pub use grid::{BoxBlock, CellBlock};
 
 use crate::Ray;
 
-/// Work written as plain loops over arrays, which the compiler turns into SIMD. Everything that runs often must be
-/// `#[inline(always)]`, and closures are not.
-pub trait Work {
-    /// What comes of it.
-    type Output;
-
-    /// Does it.
-    fn run(self) -> Self::Output;
-}
-
-/// Runs `work` compiled for the best instructions of this processor. Nothing is fused, so the result is the same on all.
-#[inline]
-pub fn run<W: Work>(work: W) -> W::Output {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(avx2) = x86::Avx2::detect() {
-        return avx2.run(work);
-    }
-    work.run()
-}
-
 /// `a` if it is smaller, else `b`; so `b` if either is NaN. One instruction.
 #[inline(always)]
 pub fn smaller(a: f32, b: f32) -> f32 {

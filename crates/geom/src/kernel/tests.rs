@@ -31,7 +31,7 @@ fn check(vertices: &[[f32; 3]], triangles: &[[u8; 3]], ray: &Ray) -> Result<(), 
     let block = TriangleBlock::new(vertices, triangles).expect("few enough");
     check_mask(&block, ray, triangles.len(), scalar::filter(&block, &prepared), "scalar")?;
     #[cfg(target_arch = "x86_64")]
-    if let Some(avx2) = x86::Avx2::detect() {
+    if let Some(avx2) = crate::simd::Avx2::detect() {
         check_mask(&block, ray, triangles.len(), avx2.filter(&block, &prepared), "avx2")?;
     }
     let mut rays = FanRays::<CHUNK>::default();
@@ -77,7 +77,7 @@ fn check(vertices: &[[f32; 3]], triangles: &[[u8; 3]], ray: &Ray) -> Result<(), 
             }
         }
         #[cfg(target_arch = "x86_64")]
-        if let Some(avx2) = x86::Avx2::detect() {
+        if let Some(avx2) = crate::simd::Avx2::detect() {
             let mask = avx2.fan_filter(&avx2.planes(&block, origin), d, rays.near[0], rays.far[0]);
             check_mask(&block, ray, triangles.len(), mask, "fan avx2")?;
             if ray.tnear == 0.0 {

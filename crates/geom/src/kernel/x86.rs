@@ -2,37 +2,18 @@
 
 use super::{
     ABOVE_SLOPE, BlockMask, BlockRay, BoxBlock, CellBlock, DEPTH_ERROR, DEPTH_UNDERFLOW, EDGE_ERROR, LANES,
-    LARGEST, Lanes, SHEAR_ERROR, TriangleBlock, Work, fan::FanRays,
+    LARGEST, Lanes, SHEAR_ERROR, TriangleBlock, fan::FanRays,
 };
-use crate::SlabRay;
+use crate::{
+    SlabRay,
+    simd::{
+        Avx2,
+        x86::{load, planes},
+    },
+};
 use std::arch::x86_64::*;
 
-/// Proof that this processor has AVX2, FMA, BMI1, LZCNT and POPCNT.
-#[derive(Clone, Copy, Debug)]
-pub struct Avx2(());
-
 impl Avx2 {
-    /// Asks the processor.
-    pub fn detect() -> Option<Self> {
-        let all = is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("fma")
-            && is_x86_feature_detected!("bmi1")
-            && is_x86_feature_detected!("lzcnt")
-            && is_x86_feature_detected!("popcnt");
-        all.then_some(Self(()))
-    }
-
-    /// Runs `work` compiled for these instructions.
-    #[inline]
-    pub(super) fn run<W: Work>(self, work: W) -> W::Output {
-        #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
-        fn shell<W: Work>(work: W) -> W::Output {
-            work.run()
-        }
-        // SAFETY: `self` proves the target features.
-        unsafe { shell(work) }
-    }
-
     /// As [`TriangleBlock::above`], up to rounding.
     #[inline(always)]
     pub fn above(self, block: &TriangleBlock, origin: [f32; 3], up: [f32; 3]) -> u8 {
@@ -113,15 +94,9 @@ pub(super) fn cell_corner(block: &CellBlock, corner: usize, axis: usize) -> __m2
 fn entered(block: &BoxBlock, ray: &SlabRay) -> u32 {
     let (mut entry, mut exit) = (_mm256_set1_ps(ray.tnear), _mm256_set1_ps(ray.tfar));
     for axis in 0..3 {
-        let (base, step, planes) = block.parts(axis);
+        let (base, step, rows) = block.parts(axis);
         let backward = usize::from(ray.inv_near[axis] < 0.0);
-        let plane = |row: usize| {
-            // SAFETY: a row is eight bytes.
-            let numbers = unsafe { _mm_loadl_epi64(planes[row % 6].as_ptr().cast()) };
-            let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
-            // The product is exact, so that fusing changes nothing.
-            _mm256_fmadd_ps(numbers, _mm256_set1_ps(step), _mm256_set1_ps(base))
-        };
+        let plane = |row: usize| planes(&rows[row % 6], step, base);
         let near = _mm256_sub_ps(plane(2 * axis + backward), _mm256_set1_ps(ray.origin_near[axis]));
         let far = _mm256_sub_ps(plane(2 * axis + 1 - backward), _mm256_set1_ps(ray.origin_far[axis]));
         // `max` and `min` return the second operand for NaN, which drops it.
@@ -141,14 +116,9 @@ fn columns<const N: usize>(
 ) -> [u32; LANES] {
     let mut ends = [[_mm256_setzero_ps(); 2]; 3];
     for (axis, ends) in ends.iter_mut().enumerate() {
-        let (base, step, planes) = block.parts(axis);
-        for (end, row) in ends.iter_mut().zip(&planes[2 * axis..]) {
-            // SAFETY: a row is eight bytes.
-            let numbers = unsafe { _mm_loadl_epi64(row.as_ptr().cast()) };
-            let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
-            // The product is exact, so that fusing changes nothing.
-            let planes = _mm256_fmadd_ps(numbers, _mm256_set1_ps(step), _mm256_set1_ps(base));
-            *end = _mm256_sub_ps(planes, _mm256_set1_ps(origin[axis]));
+        let (base, step, rows) = block.parts(axis);
+        for (end, row) in ends.iter_mut().zip(&rows[2 * axis..]) {
+            *end = _mm256_sub_ps(planes(row, step, base), _mm256_set1_ps(origin[axis]));
         }
     }
     let mut columns = _mm256_setzero_si256();
@@ -177,9 +147,7 @@ fn columns<const N: usize>(
 fn above(block: &TriangleBlock, origin: [f32; 3], up: [f32; 3]) -> u8 {
     let mut heights = _mm256_setzero_ps();
     for axis in 0..3 {
-        // SAFETY: a row of eight floats, aligned as the block is.
-        let row = unsafe { _mm256_load_ps(block.vertices[axis].as_ptr()) };
-        let x = _mm256_sub_ps(row, _mm256_set1_ps(origin[axis]));
+        let x = _mm256_sub_ps(load(&block.vertices[axis]), _mm256_set1_ps(origin[axis]));
         heights = _mm256_fmadd_ps(x, _mm256_set1_ps(up[axis]), heights);
         let size = _mm256_andnot_ps(_mm256_set1_ps(-0.0), x);
         heights = _mm256_fmadd_ps(size, _mm256_set1_ps(ABOVE_SLOPE), heights);

@@ -17,8 +17,9 @@ use super::{
 use umbrage_accel::{Bvh, Child, View};
 use umbrage_geom::{
     Aabb, Cancelled, Progress,
-    kernel::{self, TriangleBlock, Work, larger, smaller},
+    kernel::{TriangleBlock, larger, smaller},
     sampling::{combine, sobol_4d, unit},
+    simd::{BackEnd, Job},
 };
 
 /// Nodes whose opacities are computed together.
@@ -156,7 +157,7 @@ struct Measure<'a, T> {
 /// Opacities of one slot, cell by cell.
 type Row = (u32, usize, Vec<f32>);
 
-impl<T: Cells> Work for Measure<'_, T> {
+impl<T: Cells> Job for Measure<'_, T> {
     type Output = Vec<Row>;
 
     #[inline(always)]
@@ -323,12 +324,13 @@ pub(crate) fn measure<T: Cells>(
 ) -> Result<T, Cancelled> {
     let lines = Lines::new(directions, options);
     let mut table = T::new(directions.cells(), slots);
+    let back_end = BackEnd::Avx2.unless_forced();
     for level in levels(bvh).into_iter().rev() {
         let job = |indices: &[u32]| {
             progress.check()?;
             let view = bvh.view();
             let rows =
-                kernel::run(Measure { view, bvh, depths, table: &table, lines: &lines, masks, indices });
+                back_end.run(Measure { view, bvh, depths, table: &table, lines: &lines, masks, indices });
             progress.advance(indices.len() as u64)?;
             Ok(rows)
         };

@@ -4,11 +4,11 @@
 //! grid asks for it and wherever it runs.
 
 mod scalar;
-#[cfg(target_arch = "x86_64")]
-mod x86;
 
-use umbrage_accel::BackEnd;
-use umbrage_geom::glam::Vec3;
+use umbrage_geom::{
+    glam::Vec3,
+    simd::{BackEnd, Instructions, Job},
+};
 
 /// Columns evaluated together.
 pub(crate) const LANES: usize = 8;
@@ -38,43 +38,44 @@ impl Columns {
     }
 }
 
-/// Which instructions, with proof that the processor has them.
+/// Evaluation of rows on some instructions.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Kernel {
-    Scalar,
-    #[cfg(target_arch = "x86_64")]
-    Avx2(x86::Avx2),
-    #[cfg(target_arch = "x86_64")]
-    Avx512(x86::Avx512),
-}
+pub(crate) struct Kernel(Instructions);
 
 impl Kernel {
-    /// That of a back end, or the portable one where it is missing.
+    /// That of a back end, or the portable one where the processor lacks it.
     pub(crate) fn new(back_end: BackEnd) -> Self {
-        match back_end {
-            #[cfg(target_arch = "x86_64")]
-            BackEnd::Avx2 => x86::Avx2::detect().map_or(Self::Scalar, Self::Avx2),
-            #[cfg(target_arch = "x86_64")]
-            BackEnd::Avx512 => x86::Avx512::detect().map_or(Self::Scalar, Self::Avx512),
-            _ => Self::Scalar,
-        }
+        Self(back_end.instructions())
     }
 
     /// A row of points: `curve` holds the four control points of the row's curve, `weights` those of its columns, also given
     /// as `columns`.
     #[inline]
     pub(crate) fn row(self, curve: &[Vec3; 4], weights: &[[f32; 4]], columns: &[Columns], row: &mut [Vec3]) {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2(avx2) if row.len() >= FEW => avx2.row(curve, columns, row),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512(avx512) if row.len() >= FEW => avx512.row(curve, columns, row),
-            _ => scalar::row(curve, weights, row),
+        match self.0 {
+            Instructions::Scalar => scalar::row(curve, weights, row),
+            _ if row.len() < FEW => scalar::row(curve, weights, row),
+            instructions => instructions.run(Row { curve, columns, row }),
         }
     }
 }
 
-/// [`Kernel::row`] in lanes, for shells with target features.
+/// [`Kernel::row`] in lanes.
+struct Row<'a> {
+    curve: &'a [Vec3; 4],
+    columns: &'a [Columns],
+    row: &'a mut [Vec3],
+}
+
+impl Job for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        row_in_lanes(self.curve, self.columns, self.row);
+    }
+}
+
 #[inline(always)]
 fn row_in_lanes(curve: &[Vec3; 4], columns: &[Columns], row: &mut [Vec3]) {
     let mut control = [[0f32; NUMBERS]; 4];
@@ -126,7 +127,7 @@ mod tests {
             let all: Vec<[f32; 4]> = at.iter().map(|&u| weights(u)).collect();
             let columns: Vec<Columns> = all.chunks(LANES).map(Columns::new).collect();
             let expected: Vec<_> = at.iter().map(|&u| patch.position(u, v).to_array().map(f32::to_bits)).collect();
-            for back_end in [BackEnd::Scalar, BackEnd::Avx2, BackEnd::Avx512] {
+            for back_end in BackEnd::ALL {
                 let mut row = vec![Vec3::NAN; count];
                 Kernel::new(back_end).row(&patch.curve(weights(v)), &all, &columns, &mut row);
                 let bits: Vec<_> = row.iter().map(|p| p.to_array().map(f32::to_bits)).collect();

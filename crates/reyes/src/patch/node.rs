@@ -1,7 +1,9 @@
-//! The tree of quarters of a patch, made when somebody looks: bicubic patches as soon as they are regular, rings around
-//! extraordinary vertices and decaying creases down to any depth.
+//! The tree of quarters of a patch. Quarters are made when they are first asked for, and kept as far as their budget of memory
+//! allows. A quarter is a bicubic patch where the surface is regular; around extraordinary vertices and decaying creases it
+//! is a ring of control points, which is split down to level [`DEEPEST`] and counts as its nearest corner there.
 //!
-//! Here: bounds, split, positions. Not here: how deep to go (`level.rs`), grids (`dice.rs`).
+//! Here: bounds, splits, positions and limit points. Not here: rings ([`Ring`]) and bicubic patches ([`Bicubic`]), how finely
+//! a patch is diced (`dice.rs`, `length.rs`), which parts a ray visits (`trace.rs`).
 
 use super::{Bicubic, Ring, weights};
 use crate::{

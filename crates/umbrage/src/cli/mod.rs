@@ -12,6 +12,7 @@ mod tools;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use std::{fmt, path::Path, process::ExitCode};
+use umbrage_geom::simd::BackEnd;
 
 /// How much of the light between here and there is blocked: shadows, ambient occlusion and transmittance.
 #[derive(Parser)]
@@ -45,14 +46,15 @@ impl std::error::Error for Interrupted {}
 
 /// Runs the program with the process's arguments.
 pub fn run() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let command = Arguments::parse().command;
+    let result = BackEnd::forced().map_err(anyhow::Error::from).and_then(|_| match command {
         Command::Render(arguments) => render::run(&arguments),
         Command::Bake(arguments) => bake::run(&arguments),
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Inspect(arguments) => tools::inspect(&arguments),
         Command::Compare(arguments) => tools::compare(&arguments),
         Command::Scenes(arguments) => tools::scenes(&arguments),
-    };
+    });
     match result {
         Ok(code) => code,
         Err(error) => {

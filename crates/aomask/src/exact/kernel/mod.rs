@@ -8,9 +8,13 @@ mod scalar;
 mod x86;
 
 use super::rays::{GROUP, RaySet};
-use crate::BackEnd;
 use umbrage_accel::{NodeView, View};
-use umbrage_geom::kernel::{BlockMask, TriangleBlock, fan};
+#[cfg(target_arch = "x86_64")]
+use umbrage_geom::simd::Avx2;
+use umbrage_geom::{
+    kernel::{BlockMask, TriangleBlock, fan},
+    simd::{BackEnd, Dispatch},
+};
 
 /// Children of a node, triangles of a leaf, rays of a group.
 pub(crate) const LANES: usize = 8;
@@ -188,14 +192,26 @@ pub(crate) trait Job {
     fn run<K: Kernel>(self, kernel: K) -> Self::Output;
 }
 
-/// Runs `job` on `back_end`, or on the portable one where it is missing.
+/// A job as work with code of its own for each kernel.
+struct OnKernel<J>(J);
+
+impl<J: Job> Dispatch for OnKernel<J> {
+    type Output = J::Output;
+
+    #[inline(always)]
+    fn portable(self) -> J::Output {
+        self.0.run(scalar::Scalar)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn avx2(self, avx2: Avx2) -> J::Output {
+        self.0.run(avx2)
+    }
+}
+
+/// Runs `job` on the kernel of `back_end`, or on the portable one where the processor lacks it.
 #[inline]
 pub(crate) fn run<J: Job>(back_end: BackEnd, job: J) -> J::Output {
-    match back_end {
-        #[cfg(target_arch = "x86_64")]
-        BackEnd::Avx512 => x86::run_avx512(job),
-        #[cfg(target_arch = "x86_64")]
-        BackEnd::Avx2 => x86::run_avx2(job),
-        _ => job.run(scalar::Scalar),
-    }
+    back_end.dispatch(OnKernel(job))
 }

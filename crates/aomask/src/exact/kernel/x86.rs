@@ -1,58 +1,20 @@
-//! AVX2: eight children, rays or triangles at once. The shell for AVX-512 compiles the same code once more, with twice the
-//! registers and comparisons into mask registers.
+//! AVX2: eight children, rays or triangles at once.
 #![allow(unsafe_code)]
 
-use super::{Hull, Job, Kernel, LANES, LeafRows, Rows, Spheres, Stack, TINY, WIDEN, ray_of, scalar::Scalar};
+use super::{Hull, Kernel, LANES, LeafRows, Rows, Spheres, Stack, TINY, WIDEN, ray_of};
 use crate::exact::rays::{GROUP, GROUPS, RAYS, RaySet};
 use std::arch::x86_64::*;
 use umbrage_accel::NodeView;
-use umbrage_geom::kernel::{
-    BlockMask, TriangleBlock,
-    fan::{self, x86::Planes},
-    x86::Avx2,
+use umbrage_geom::{
+    kernel::{
+        BlockMask, TriangleBlock,
+        fan::{self, x86::Planes},
+    },
+    simd::{
+        Avx2,
+        x86::{count_ones, load, planes, sorted, store},
+    },
 };
-
-/// Runs `job` compiled for AVX2.
-#[inline]
-pub(crate) fn run_avx2<J: Job>(job: J) -> J::Output {
-    #[target_feature(enable = "avx2,fma,bmi1,lzcnt,popcnt")]
-    fn shell<J: Job>(avx2: Avx2, job: J) -> J::Output {
-        job.run(avx2)
-    }
-    match Avx2::detect() {
-        // SAFETY: `avx2` proves the target features.
-        Some(avx2) => unsafe { shell(avx2, job) },
-        None => job.run(Scalar),
-    }
-}
-
-/// Runs `job` compiled for AVX-512.
-#[inline]
-pub(crate) fn run_avx512<J: Job>(job: J) -> J::Output {
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-    fn shell<J: Job>(avx2: Avx2, job: J) -> J::Output {
-        job.run(avx2)
-    }
-    match (crate::BackEnd::Avx512.is_supported(), Avx2::detect()) {
-        // SAFETY: the processor has just been asked for all of the target features, and for more.
-        (true, Some(avx2)) => unsafe { shell(avx2, job) },
-        _ => job.run(Scalar),
-    }
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn load(row: &[f32; LANES]) -> __m256 {
-    // SAFETY: a row is eight floats.
-    unsafe { _mm256_loadu_ps(row.as_ptr()) }
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn store(row: &mut [f32; LANES], x: __m256) {
-    // SAFETY: a row is eight floats.
-    unsafe { _mm256_storeu_ps(row.as_mut_ptr(), x) }
-}
 
 /// The group's eight numbers of a row.
 #[inline]
@@ -69,11 +31,7 @@ fn rows(node: NodeView<'_>, origin: [f32; 3]) -> Rows {
     let mut rows = Rows([[0.0; LANES]; 6]);
     for (i, (row, numbers)) in rows.0.iter_mut().zip(node.grid()).enumerate() {
         let axis = i / 2;
-        // SAFETY: a row is eight bytes.
-        let numbers = unsafe { _mm_loadl_epi64(numbers.as_ptr().cast()) };
-        let numbers = _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(numbers));
-        // The product is exact, so that fusing changes nothing.
-        let plane = _mm256_fmadd_ps(numbers, _mm256_set1_ps(step[axis]), _mm256_set1_ps(base[axis]));
+        let plane = planes(numbers, step[axis], base[axis]);
         store(row, _mm256_sub_ps(plane, _mm256_set1_ps(origin[axis])));
     }
     rows
@@ -232,51 +190,6 @@ fn ray_boxes(rows: &Rows, rays: &RaySet, ray: usize) -> __m256 {
     _mm256_cmp_ps::<_CMP_LE_OQ>(entry, widened(exit))
 }
 
-/// Which lane each lane is compared with in the steps of a sorting network, and which lanes take the larger number.
-const NETWORK: [([i32; LANES], u8); 6] = [
-    ([2, 3, 0, 1, 6, 7, 4, 5], 0b0011_0011),
-    ([4, 5, 6, 7, 0, 1, 2, 3], 0b0000_1111),
-    ([1, 0, 3, 2, 5, 4, 7, 6], 0b0101_0101),
-    ([0, 1, 4, 5, 2, 3, 6, 7], 0b0000_1100),
-    ([0, 4, 2, 6, 1, 5, 3, 7], 0b0000_1010),
-    ([0, 2, 1, 4, 3, 6, 5, 7], 0b0010_1010),
-];
-
-/// Sorts from largest to smallest.
-#[inline]
-#[target_feature(enable = "avx2")]
-fn sorted(mut keys: __m256i) -> __m256i {
-    macro_rules! step {
-        ($i:literal) => {{
-            let [a, b, c, d, e, f, g, h] = NETWORK[$i].0;
-            let other = _mm256_permutevar8x32_epi32(keys, _mm256_setr_epi32(a, b, c, d, e, f, g, h));
-            const LARGER: i32 = NETWORK[$i].1 as i32;
-            let (least, most) = (_mm256_min_epi32(keys, other), _mm256_max_epi32(keys, other));
-            keys = _mm256_blend_epi32::<LARGER>(least, most);
-        }};
-    }
-    step!(0);
-    step!(1);
-    step!(2);
-    step!(3);
-    step!(4);
-    step!(5);
-    keys
-}
-
-/// Number of set bits in each lane.
-#[inline]
-#[target_feature(enable = "avx2")]
-fn count_ones(x: __m256i) -> __m256i {
-    let of_nibble =
-        _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4));
-    let nibbles = _mm256_set1_epi8(0xf);
-    let low = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(x, nibbles));
-    let high = _mm256_shuffle_epi8(of_nibble, _mm256_and_si256(_mm256_srli_epi32::<4>(x), nibbles));
-    let pairs = _mm256_maddubs_epi16(_mm256_add_epi8(low, high), _mm256_set1_epi8(1));
-    _mm256_madd_epi16(pairs, _mm256_set1_epi16(1))
-}
-
 /// Squared distances of the boxes.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
@@ -323,7 +236,7 @@ fn push_rays(
     let distance = _mm256_or_si256(_mm256_slli_epi32::<25>(fewer), distance);
     let bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
     let taken = _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32(mask as i32), bits), bits);
-    let order = sorted(_mm256_and_si256(_mm256_or_si256(distance, numbers), taken));
+    let order = sorted::<true>(_mm256_and_si256(_mm256_or_si256(distance, numbers), taken));
     // SAFETY: eight entries from `top` are in the stack.
     unsafe {
         let children = _mm256_loadu_si256(children.as_ptr().cast());
@@ -413,14 +326,6 @@ fn ahead(spheres: &Spheres, hull: &Hull) -> u32 {
     test = _mm256_fmadd_ps(_mm256_set1_ps(hull.angle[1]), load(&spheres.radius), test);
     test = _mm256_fnmadd_ps(_mm256_set1_ps(hull.angle[0]), load(&spheres.tangent), test);
     _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NLT_UQ>(test, _mm256_setzero_ps())) as u32
-}
-
-#[inline]
-#[target_feature(enable = "sse")]
-fn prefetch(target: *const u8, bytes: usize) {
-    for offset in (0..bytes).step_by(64) {
-        _mm_prefetch::<_MM_HINT_T0>(target.cast::<i8>().wrapping_add(offset));
-    }
 }
 
 impl Kernel for Avx2 {
@@ -540,7 +445,6 @@ impl Kernel for Avx2 {
 
     #[inline(always)]
     fn prefetch(self, target: *const u8, bytes: usize) {
-        // SAFETY: `self` proves the target features.
-        unsafe { prefetch(target, bytes) }
+        Avx2::prefetch(self, target, bytes);
     }
 }

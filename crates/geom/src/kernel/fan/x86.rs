@@ -1,8 +1,12 @@
 //! The fan filter on AVX2 and FMA, eight lanes at once.
 
 use super::{
-    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, Lanes as Triangles, x86::Avx2},
+    super::{BlockMask, DEPTH_UNDERFLOW, LANES, LARGEST, Lanes as Triangles},
     DEPTH_ERROR, EDGE_ERROR, REACH, VOLUME_ERROR, scalar,
+};
+use crate::simd::{
+    Avx2,
+    x86::{load, store},
 };
 use std::arch::x86_64::*;
 
@@ -156,8 +160,6 @@ fn filter_rays(
     far: &[f32; LANES],
 ) -> BlockMask {
     let lane = lane % LANES;
-    // SAFETY: rows are eight floats.
-    let load = |row: &[f32; LANES]| unsafe { _mm256_loadu_ps(row.as_ptr()) };
     let d = [load(direction[0]), load(direction[1]), load(direction[2])];
     let edge = |k: usize| {
         let [x, y, z] = &planes.normals[k];
@@ -178,20 +180,18 @@ fn filter_rays(
 
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn store(planes: &Planes) -> scalar::Planes {
+fn store_planes(planes: &Planes) -> scalar::Planes {
     let mut rows = scalar::Planes::EMPTY;
-    // SAFETY: rows are eight floats.
-    let put = |row: &mut [f32; LANES], x: __m256| unsafe { _mm256_storeu_ps(row.as_mut_ptr(), x) };
     for k in 0..3 {
         for axis in 0..3 {
-            put(&mut rows.normals[k][axis], planes.normals[k][axis]);
+            store(&mut rows.normals[k][axis], planes.normals[k][axis]);
         }
     }
-    put(&mut rows.error, planes.error);
-    put(&mut rows.volume, planes.volume);
-    put(&mut rows.volume_error, planes.volume_error);
-    put(&mut rows.side, planes.side);
-    put(&mut rows.reach, planes.reach);
+    store(&mut rows.error, planes.error);
+    store(&mut rows.volume, planes.volume);
+    store(&mut rows.volume_error, planes.volume_error);
+    store(&mut rows.side, planes.side);
+    store(&mut rows.reach, planes.reach);
     rows.used = planes.used;
     rows
 }
@@ -200,11 +200,9 @@ fn store(planes: &Planes) -> scalar::Planes {
 #[target_feature(enable = "avx2,fma")]
 fn ask_sides(planes: &mut Planes, block: &impl Triangles, origin: [f32; 3], lanes: u8) {
     let mut row = [0.0; LANES];
-    // SAFETY: rows are eight floats.
-    unsafe { _mm256_storeu_ps(row.as_mut_ptr(), planes.side) };
+    store(&mut row, planes.side);
     let (row, on) = scalar::sides(row, block, origin, lanes);
-    // SAFETY: as above.
-    planes.side = unsafe { _mm256_loadu_ps(row.as_ptr()) };
+    planes.side = load(&row);
     planes.used &= !on;
 }
 
@@ -238,7 +236,7 @@ impl Avx2 {
     #[inline(always)]
     pub fn store_planes(self, planes: &Planes) -> scalar::Planes {
         // SAFETY: `self` proves the target features.
-        unsafe { store(planes) }
+        unsafe { store_planes(planes) }
     }
 
     /// As [`scalar::Planes::filter_rays`].
