@@ -86,7 +86,8 @@ mod tests {
 
     #[test]
     fn every_part_of_a_mesh_counts() {
-        let plain = TriangleMesh::new(vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], vec![[0, 1, 2]]).unwrap();
+        let plain =
+            TriangleMesh::new(vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], vec![[0, 1, 2]]).unwrap();
         let with = |change: fn(&mut TriangleMesh)| {
             let mut mesh = plain.clone();
             change(&mut mesh);

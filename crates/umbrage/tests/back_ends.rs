@@ -69,7 +69,8 @@ fn every_back_end_writes_the_same_bytes() {
     fs::write(folder.path().join("opaque.toml"), SCENE.replace("MORE", "")).unwrap();
     fs::write(folder.path().join("leaves.toml"), SCENE.replace("MORE", LEAVES)).unwrap();
     fs::write(folder.path().join("cube.obj"), CUBE).unwrap();
-    let opaque = |shadows: &str, ao: &str| format!("render opaque.toml --shadows {shadows} --ao {ao} -o OUT.exr");
+    let opaque =
+        |shadows: &str, ao: &str| format!("render opaque.toml --shadows {shadows} --ao {ao} -o OUT.exr");
     let mut commands: Vec<String> =
         ["bvh", "kd", "kd-volumetric", "bvh-volumetric", "prefilter"].map(|m| opaque(m, "rays")).into();
     commands.extend(["mask", "mask-table", "mask-prefilter", "mask-raster"].map(|m| opaque("bvh", m)));
