@@ -65,17 +65,20 @@ impl Needs {
         if self.triangles && scene.surfaces {
             return Some("subdivision surfaces are traced as such, and the method needs surfaces = \"mesh\"");
         }
+        match (self.pinhole, scene.view) {
+            (true, View::Lens) => return Some("the camera has a lens, and the method needs lens_radius 0"),
+            (true, View::NoCamera) => {
+                return Some("the method answers what a camera sees, and there is no camera");
+            }
+            _ => {}
+        }
         if self.opaque && !scene.opaque {
             return Some("some triangles are semi-transparent, and the method needs opaque ones");
         }
         if self.one_mesh && scene.instances_apart {
             return Some("instances are kept apart to save memory, and the method needs them in one mesh");
         }
-        match (self.pinhole, scene.view) {
-            (true, View::Lens) => Some("the camera has a lens, and the method needs lens_radius 0"),
-            (true, View::NoCamera) => Some("the method answers what a camera sees, and there is no camera"),
-            _ => None,
-        }
+        None
     }
 }
 
