@@ -7,7 +7,7 @@ use crate::TexelImage;
 use std::path::{Path, PathBuf};
 use umbrage_geom::TriangleMesh;
 use umbrage_image::{
-    Film, Format, GREY, ImageError, ShardError, ShardSpec, ValueRange, XYZ, names, write_exr, write_grey,
+    Film, Format, GREY, ImageError, Shard, ShardError, ValueRange, XYZ, names, write_exr, write_grey,
 };
 use umbrage_scene::{
     MeshFileError, PlyVertices, VertexAttributes, WriteMeshError, read_ply_vertices, write_obj, write_ply,
@@ -192,7 +192,7 @@ impl Baked {
     ///
     /// # Errors
     /// [`BakedError::Extension`] unless the name ends in `.ply`; [`BakedError::Write`].
-    pub fn write_part(&self, path: &Path, shard: ShardSpec, fingerprint: u64) -> Result<(), BakedError> {
+    pub fn write_part(&self, path: &Path, shard: Shard, fingerprint: u64) -> Result<(), BakedError> {
         check_part_extension(path)?;
         let ao: Vec<f32> = self.ao.iter().map(|&ao| if ao.is_nan() { MISSING } else { ao }).collect();
         let kind = match &self.surface {
@@ -234,7 +234,7 @@ pub fn check_part_extension(path: &Path) -> Result<(), BakedError> {
 /// What a part says about itself.
 #[derive(Clone, Debug, PartialEq)]
 struct Header {
-    shard: ShardSpec,
+    shard: Shard,
     fingerprint: u64,
     kind: String,
     numbers: [u32; 3],

@@ -6,11 +6,8 @@ use serde_json::json;
 use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
 use umbrage::{
     bake::baked::{Baked, Surface, check_part_extension},
-    bake::{
-        BakeError, BakeExtras, BakeOptions, NormalSource, Receivers, Shard, TexelMap, VAxis, bake_with,
-        blocks,
-    },
-    image::{Fingerprint, ShardError, ShardSpec},
+    bake::{Bake, BakeError, BakeOptions, NormalSource, Receivers, TexelMap, VAxis, blocks},
+    image::{Fingerprint, Shard, ShardError},
     query::{AoMethod, Ground, Occluders, SceneKind, Selection, View, engine, plan},
 };
 use umbrage_aomask::Sides;
@@ -80,7 +77,7 @@ pub struct BakeArguments {
     threads: Option<usize>,
     /// Bake only part I of N, to a .ply that `umbrage merge` joins with the others.
     #[arg(long, value_name = "I/N")]
-    shard: Option<ShardSpec>,
+    shard: Option<Shard>,
     /// Write all rays and whether they were blocked, for checks against other ray casters: 36 bytes a ray, little-endian
     /// floats origin, tnear, direction, tfar, then 1 or 0 as an integer. Only for methods with masks.
     #[arg(long, value_name = "FILE")]
@@ -311,7 +308,7 @@ fn bake_and_write(
     if arguments.shard.is_none() {
         surface.check_extension(&arguments.output)?;
     }
-    let shard = arguments.shard.unwrap_or(ShardSpec::WHOLE);
+    let shard = arguments.shard.unwrap_or(Shard::WHOLE);
     let parts = blocks(receivers.len());
     if shard.count() as usize > parts {
         return Err(ShardError::TooMany { shards: shard.count(), tiles: parts as u32 }.into());
@@ -329,12 +326,17 @@ fn bake_and_write(
     bar.check()?;
     let start = Instant::now();
     let mut ao = vec![f32::NAN; receivers.len()];
-    let part = Shard { index: shard.index() - 1, count: shard.count() };
     let mut report = |f| bar.report(f);
     let mut bent = arguments.bent_normals.then(|| vec![[0.0; 3]; receivers.len()]);
     let mut run = |dump: Option<&mut dyn Write>| {
-        let extras = BakeExtras { dump, bent_normals: bent.as_deref_mut() };
-        bake_with(&occluders, &receivers, options, part, &mut ao, extras, &mut report)
+        let mut call = Bake::new(&occluders, &receivers, options).with_shard(shard);
+        if let Some(out) = dump {
+            call = call.with_rays_to(out);
+        }
+        if let Some(bent) = &mut bent {
+            call = call.with_bent_normals(bent);
+        }
+        call.run(&mut ao, &mut report)
     };
     let spent = match &arguments.dump_rays {
         None => run(None).map_err(interrupted)?,
