@@ -7,7 +7,7 @@
 
 use umbrage_bake::{
     Bake, BakeOptions, NormalSource, Receivers,
-    baked::{Baked, Surface},
+    baked::{BakeTarget, Baked},
 };
 use umbrage_query::{Ground, Occluders};
 use umbrage_scene::{
@@ -30,7 +30,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mean = ao.iter().map(|&a| f64::from(a)).sum::<f64>() / ao.len() as f64;
     println!("{} vertices, mean ao {mean:.4} (1 is open)", ao.len());
     if let Some(output) = arguments.get(1) {
-        Baked { surface: Surface::Vertices(mesh), ao, bent_normals: None }.write(output.as_ref())?;
+        Baked { target: BakeTarget::Vertices(mesh), ao, bent_normals: None }.write(output.as_ref())?;
     }
     Ok(())
 }

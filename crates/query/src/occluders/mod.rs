@@ -9,7 +9,7 @@ mod surfaces;
 
 pub use demand::{Made, Structure};
 pub(crate) use demand::{PrefilteredParts, solids};
-pub use hits::Surface;
+pub use hits::ShadingPoint;
 pub use surfaces::SurfaceWork;
 
 use super::{QueryError, SceneKind, SurfaceMode, View, engine::Report};
