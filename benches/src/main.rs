@@ -6,6 +6,7 @@ mod aomask;
 mod embree;
 mod entry;
 mod memory;
+mod methods;
 mod peer;
 mod plot;
 mod prefilter;
@@ -22,7 +23,7 @@ use std::path::PathBuf;
 /// Benchmark suites of Umbrage.
 #[derive(Parser)]
 struct Arguments {
-    /// Suite: anyhit, aomask, prefilter, reyes, stability, volumetric.
+    /// Suite: anyhit, aomask, methods, prefilter, reyes, stability, volumetric.
     suite: String,
     /// Same rows, smaller sizes.
     #[arg(long)]
@@ -76,6 +77,10 @@ fn main() -> Result<()> {
             let images = pictures;
             aomask::run(&aomask::Options { quick, peers, only, part, images, plots }, &mut output)
         }
+        "methods" => {
+            let Arguments { quick, only, .. } = arguments;
+            methods::run(&methods::Options { quick, only }, &mut output)
+        }
         "prefilter" => {
             let Arguments { quick, peers, only, part, plots, pictures, .. } = arguments;
             prefilter::run(&prefilter::Options { quick, peers, only, part, plots, pictures }, &mut output)
@@ -94,7 +99,7 @@ fn main() -> Result<()> {
             reyes::run(&reyes::Options { quick, only, size, figure, peers, plots, pictures }, &mut output)
         }
         other => bail!(
-            "unknown suite '{other}', expected anyhit, aomask, prefilter, reyes, stability or volumetric"
+            "unknown suite '{other}', expected anyhit, aomask, methods, prefilter, reyes, stability or volumetric"
         ),
     }
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use umbrage::inspect::inspect_mesh;
 use umbrage_accel::{BuildOptions, Bvh, brute};
-use umbrage_bake::{BakeOptions, NormalSource, Receivers, Shard, bake};
+use umbrage_bake::{Bake, BakeOptions, NormalSource, Receivers};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3, sampling::RandomStream, sampling::uniform_sphere};
 use umbrage_query::{Ground, Occluders};
 use umbrage_scene::{Radius, read_mesh};
@@ -102,7 +102,7 @@ fn baked_creases_are_darker_than_bumps() {
     let receivers = Receivers::vertices(&mesh, NormalSource::Smooth).unwrap();
     let options = BakeOptions::default().with_rays(64).with_radius(Radius::OfDiagonal(0.1));
     let mut ao = vec![f32::NAN; receivers.len()];
-    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
+    Bake::new(&occluders, &receivers, &options).run(&mut ao, &mut |_| true).unwrap();
     // Curvature by the offset of a vertex from the mean of its neighbours, along its normal.
     let normals = mesh.smooth_normals();
     let mut sums = vec![(Vec3::ZERO, 0.0); mesh.positions.len()];

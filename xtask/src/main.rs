@@ -32,7 +32,7 @@ enum Task {
     },
     /// Runs a benchmark suite, prints a table and writes one JSON object a line.
     Bench {
-        /// Suite: anyhit, aomask, prefilter, reyes, stability or volumetric.
+        /// Suite: anyhit, aomask, methods, prefilter, reyes, stability or volumetric.
         suite: String,
         /// Same rows, smaller sizes, within three minutes once built.
         #[arg(long)]

@@ -6,8 +6,8 @@
 //! Without arguments it bakes a generated dragon and writes nothing.
 
 use umbrage_bake::{
-    BakeOptions, NormalSource, Receivers, Shard, bake,
-    baked::{Baked, Surface},
+    Bake, BakeOptions, NormalSource, Receivers,
+    baked::{BakeTarget, Baked},
 };
 use umbrage_query::{Ground, Occluders};
 use umbrage_scene::{
@@ -26,11 +26,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let receivers = Receivers::vertices(&mesh, NormalSource::Smooth)?;
     let options = BakeOptions::default().with_rays(256).with_radius(Radius::OfDiagonal(0.1));
     let mut ao = vec![0.0; receivers.len()];
-    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |_fraction| true)?;
+    Bake::new(&occluders, &receivers, &options).run(&mut ao, &mut |_fraction| true)?;
     let mean = ao.iter().map(|&a| f64::from(a)).sum::<f64>() / ao.len() as f64;
     println!("{} vertices, mean ao {mean:.4} (1 is open)", ao.len());
     if let Some(output) = arguments.get(1) {
-        Baked { surface: Surface::Vertices(mesh), ao, bent_normals: None }.write(output.as_ref())?;
+        Baked { target: BakeTarget::Vertices(mesh), ao, bent_normals: None }.write(output.as_ref())?;
     }
     Ok(())
 }

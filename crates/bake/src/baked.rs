@@ -7,7 +7,7 @@ use crate::TexelImage;
 use std::path::{Path, PathBuf};
 use umbrage_geom::TriangleMesh;
 use umbrage_image::{
-    Film, Format, GREY, ImageError, ShardError, ShardSpec, ValueRange, XYZ, names, write_exr, write_grey,
+    Film, Format, GREY, ImageError, Shard, ShardError, ValueRange, XYZ, names, write_exr, write_grey,
 };
 use umbrage_scene::{
     MeshFileError, PlyVertices, VertexAttributes, WriteMeshError, read_ply_vertices, write_obj, write_ply,
@@ -22,7 +22,7 @@ const MARK: &str = "umbrage-part";
 
 /// What was baked, with what is needed to write it down.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Surface {
+pub enum BakeTarget {
     /// Vertices of a mesh.
     Vertices(TriangleMesh),
     /// Given points with normals.
@@ -45,11 +45,11 @@ pub enum Surface {
     },
 }
 
-/// A bake: one `ao` (1 is open, 0 fully occluded) for each receiver of the surface.
+/// A bake: one `ao` (1 is open, 0 fully occluded) for each receiver of the target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Baked {
     /// The receivers.
-    pub surface: Surface,
+    pub target: BakeTarget,
     /// Their `ao`.
     pub ao: Vec<f32>,
     /// Their bent normals, if they were asked for: unit vectors in world space.
@@ -92,8 +92,8 @@ fn grey(ao: &[f32]) -> Vec<[u8; 3]> {
     ao.iter().map(|&ao| [(ao.clamp(0.0, 1.0) * 255.0).round() as u8; 3]).collect()
 }
 
-impl Surface {
-    /// Checks that the surface can be written to a file of that name.
+impl BakeTarget {
+    /// Checks that the target can be written to a file of that name.
     ///
     /// # Errors
     /// [`BakedError::Extension`].
@@ -120,7 +120,7 @@ impl Baked {
     /// # Errors
     /// [`BakedError::Extension`], [`BakedError::Image`], [`BakedError::Write`].
     pub fn write(&self, path: &Path) -> Result<(), BakedError> {
-        self.surface.check_extension(path)?;
+        self.target.check_extension(path)?;
         let colors = grey(&self.ao);
         let axis = |axis: usize| -> Vec<f32> {
             self.bent_normals.iter().flatten().map(|normal| normal[axis]).collect()
@@ -137,17 +137,17 @@ impl Baked {
             comments: &comments,
             ..VertexAttributes::default()
         };
-        match &self.surface {
-            Surface::Vertices(mesh) => {
+        match &self.target {
+            BakeTarget::Vertices(mesh) => {
                 let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
                 let write = if is_obj { write_obj } else { write_ply };
                 Ok(write(path, mesh, &attributes)?)
             }
-            Surface::Points { positions, normals } => {
+            BakeTarget::Points { positions, normals } => {
                 let attributes = VertexAttributes { normals: Some(normals), ..attributes };
                 Ok(write_ply_points(path, positions, &attributes)?)
             }
-            Surface::Texels { width, height, at, dilate } => {
+            BakeTarget::Texels { width, height, at, dilate } => {
                 self.write_image(path, *width, *height, at, *dilate)
             }
         }
@@ -192,25 +192,25 @@ impl Baked {
     ///
     /// # Errors
     /// [`BakedError::Extension`] unless the name ends in `.ply`; [`BakedError::Write`].
-    pub fn write_part(&self, path: &Path, shard: ShardSpec, fingerprint: u64) -> Result<(), BakedError> {
+    pub fn write_part(&self, path: &Path, shard: Shard, fingerprint: u64) -> Result<(), BakedError> {
         check_part_extension(path)?;
         let ao: Vec<f32> = self.ao.iter().map(|&ao| if ao.is_nan() { MISSING } else { ao }).collect();
-        let kind = match &self.surface {
-            Surface::Vertices(_) => "vertices 0 0 0".into(),
-            Surface::Points { .. } => "points 0 0 0".into(),
-            Surface::Texels { width, height, dilate, .. } => format!("texels {width} {height} {dilate}"),
+        let kind = match &self.target {
+            BakeTarget::Vertices(_) => "vertices 0 0 0".into(),
+            BakeTarget::Points { .. } => "points 0 0 0".into(),
+            BakeTarget::Texels { width, height, dilate, .. } => format!("texels {width} {height} {dilate}"),
         };
         let comment = format!("{MARK} {shard} {fingerprint:016x} {kind}");
         let (scalars, comments) = ([("ao", &ao[..])], [comment.as_str()]);
         let attributes =
             VertexAttributes { scalars: &scalars, comments: &comments, ..VertexAttributes::default() };
-        match &self.surface {
-            Surface::Vertices(mesh) => write_ply(path, mesh, &attributes)?,
-            Surface::Points { positions, normals } => {
+        match &self.target {
+            BakeTarget::Vertices(mesh) => write_ply(path, mesh, &attributes)?,
+            BakeTarget::Points { positions, normals } => {
                 let attributes = VertexAttributes { normals: Some(normals), ..attributes };
                 write_ply_points(path, positions, &attributes)?;
             }
-            Surface::Texels { at, .. } => {
+            BakeTarget::Texels { at, .. } => {
                 let positions: Vec<_> = at.iter().map(|&[x, y]| [x as f32, y as f32, 0.0]).collect();
                 write_ply_points(path, &positions, &attributes)?;
             }
@@ -234,7 +234,7 @@ pub fn check_part_extension(path: &Path) -> Result<(), BakedError> {
 /// What a part says about itself.
 #[derive(Clone, Debug, PartialEq)]
 struct Header {
-    shard: ShardSpec,
+    shard: Shard,
     fingerprint: u64,
     kind: String,
     numbers: [u32; 3],
@@ -250,25 +250,25 @@ impl Header {
         Some(Self { shard, fingerprint, kind, numbers: [number()?, number()?, number()?] })
     }
 
-    fn surface(&self, ply: PlyVertices) -> Option<Surface> {
+    fn target(&self, ply: PlyVertices) -> Option<BakeTarget> {
         let [width, height, dilate] = self.numbers;
         match self.kind.as_str() {
             "vertices" => {
                 let PlyVertices { positions, triangles, corner_uvs, .. } = ply;
-                Some(Surface::Vertices(TriangleMesh {
+                Some(BakeTarget::Vertices(TriangleMesh {
                     positions,
                     triangles,
                     corner_uvs,
                     ..TriangleMesh::default()
                 }))
             }
-            "points" => Some(Surface::Points { positions: ply.positions, normals: ply.normals }),
+            "points" => Some(BakeTarget::Points { positions: ply.positions, normals: ply.normals }),
             "texels" => {
                 let inside =
                     |p: &[f32; 3]| p[0] >= 0.0 && p[1] >= 0.0 && p[0] < width as f32 && p[1] < height as f32;
                 let fits = u64::from(width.max(height)) <= u64::from(crate::TexelMap::MAX_SIZE);
                 let at = ply.positions.iter().map(|p| [p[0] as u32, p[1] as u32]).collect();
-                (fits && ply.positions.iter().all(inside)).then_some(Surface::Texels {
+                (fits && ply.positions.iter().all(inside)).then_some(BakeTarget::Texels {
                     width,
                     height,
                     at,
@@ -288,8 +288,8 @@ fn read_part(path: &Path) -> Result<(Header, Baked), BakedError> {
     if ao.len() != ply.positions.len() || !ao.iter().all(|&a| a == MISSING || (0.0..=1.0).contains(&a)) {
         return Err(not_a_part());
     }
-    let surface = header.surface(ply).ok_or_else(not_a_part)?;
-    Ok((header, Baked { surface, ao, bent_normals: None }))
+    let target = header.target(ply).ok_or_else(not_a_part)?;
+    Ok((header, Baked { target, ao, bent_normals: None }))
 }
 
 /// Joins the parts of a bake, given in any order: the result is, bit for bit, that of a run without shards.
@@ -304,7 +304,7 @@ pub fn merge(parts: &[PathBuf]) -> Result<Baked, BakedError> {
         let (header, part) = read_part(path)?;
         let same = header.shard.count() == first.shard.count()
             && header.fingerprint == first.fingerprint
-            && part.surface == baked.surface;
+            && part.target == baked.target;
         if !same {
             let (path, first) = (path.clone(), first_path.clone());
             return Err(

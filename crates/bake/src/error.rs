@@ -90,13 +90,9 @@ pub enum BakeError {
         /// Texels down.
         height: u32,
     },
-    /// The shard can't be part of this bake.
-    #[error(
-        "shard {index} of {count} is not possible: expected an index below the count, and at most {blocks} shards (blocks of receivers)"
-    )]
+    /// There are more shards than blocks of receivers.
+    #[error("{count} shards are not possible: there are {blocks} blocks of receivers to share")]
     Shard {
-        /// Which shard, from 0.
-        index: u32,
         /// How many shards.
         count: u32,
         /// How many blocks of receivers there are to share.

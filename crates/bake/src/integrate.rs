@@ -5,14 +5,15 @@
 //! occluders need no special case (there, "nearest hit" generalizes to every crossing weighted by its own distance).
 
 use super::{
-    BakeError, BakeExtras, BakeOptions, Receivers, Shard, bake_with,
+    Bake, BakeError, BakeOptions, Receivers,
     lobes::{self, Asked},
     receivers::check_count,
 };
 use rayon::prelude::*;
-use umbrage_aomask::Pattern;
+use umbrage_aomask::{Pattern, exact::adaptive::Spent};
 use umbrage_geom::{Progress, morton};
-use umbrage_query::{Engine, LightRay, Occluders, Sky};
+use umbrage_image::Shard;
+use umbrage_query::{Engine, LightRay, Sky};
 
 /// Receivers that are computed together; they are neighbours in Morton order.
 const BLOCK: usize = 64;
@@ -25,45 +26,15 @@ pub fn blocks(receivers: usize) -> usize {
     receivers.div_ceil(BLOCK)
 }
 
-/// Computes `ao` of the receivers of `shard`: 1 where open, 0 where fully occluded (glTF's sense; the libraries' occlusion
-/// is `1 - ao`).
-///
-/// `ao` has one element a receiver; those of other shards are left as they are, so that a slice filled with NaN and given
-/// to every shard in turn ends up as the whole bake, bit for bit. Results depend on the arguments only, not on the number
-/// of threads (rayon's current pool). `progress` gets growing fractions that end at exactly 1, from any thread, and returns
-/// `false` to cancel.
-///
-/// Rays are cosine-weighted around the receiver's normal. Where that normal is a shading normal, rays that would start into
-/// the receiver's own triangle are mirrored at its plane, so that convex surfaces stay exactly 1.
-///
-/// The mean of `ao` over seeds is openness without bias for any number of rays; vertices at the same place with the same normal
-/// get the same `ao`.
-///
-/// # Errors
-/// Those of [`BakeOptions::validate`]; [`BakeError::Query`] with the reason if the method can't answer; [`BakeError::Mask`] for a
-/// number of rays that masks can't have; [`BakeError::TargetError`], [`BakeError::Length`], [`BakeError::Shard`],
-/// [`BakeError::Cancelled`]. After an error `ao` is as it was.
-pub fn bake(
-    occluders: &Occluders,
-    receivers: &Receivers,
-    options: &BakeOptions,
-    shard: Shard,
-    ao: &mut [f32],
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), BakeError> {
-    bake_with(occluders, receivers, options, shard, ao, BakeExtras::default(), progress).map(drop)
-}
-
-/// [`bake`] by an engine that answers rays.
+/// [`crate::Bake`] by an engine that answers rays; says how many rays it took.
 pub(super) fn bake_rays(
+    call: &Bake<'_>,
     engine: &dyn Engine,
     sky: &Sky,
-    receivers: &Receivers,
-    options: &BakeOptions,
-    shard: Shard,
     ao: &mut [f32],
     progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), BakeError> {
+) -> Result<Spent, BakeError> {
+    let &Bake { receivers, options, shard, .. } = call;
     let mine = shard_of(receivers, shard, ao)?;
     let pattern = Pattern::new(&sky.pattern)?;
     let progress = Progress::new(mine.len() as u64, progress);
@@ -77,10 +48,12 @@ pub(super) fn bake_rays(
         })
         .collect::<Result<Vec<_>, BakeError>>()?;
     progress.finish()?;
+    let lobes = |&i: &u32| receivers.lobes(i as usize).len() as u64;
+    let asked = mine.iter().flatten().map(lobes).sum();
     for (receiver, value) in mine.into_iter().flatten().zip(results.into_iter().flatten()) {
         ao[receiver as usize] = value;
     }
-    Ok(())
+    Ok(Spent::uniform(options.rays, asked))
 }
 
 /// Blocks of receivers in Morton order that belong to `shard`.
@@ -93,12 +66,13 @@ pub(super) fn shard_of(receivers: &Receivers, shard: Shard, ao: &[f32]) -> Resul
     }
     check_count(receivers.len())?;
     let blocks = blocks(receivers.len());
-    let Shard { index, count } = shard;
-    if index >= count || (count > 1 && count as usize > blocks) {
-        return Err(BakeError::Shard { index, count, blocks });
+    let count = shard.count() as usize;
+    if count > 1 && count > blocks {
+        return Err(BakeError::Shard { count: shard.count(), blocks });
     }
     let order = morton::order(receivers.points());
-    Ok(order.chunks(BLOCK).skip(index as usize).step_by(count as usize).map(<[u32]>::to_vec).collect())
+    let first = shard.index() as usize - 1;
+    Ok(order.chunks(BLOCK).skip(first).step_by(count).map(<[u32]>::to_vec).collect())
 }
 
 /// Rays of a receiver that are traced together, and what passed.

@@ -1,7 +1,7 @@
 //! Baking by engines that answer receivers: all rays of a receiver at once.
 
 use super::{
-    BakeError, BakeExtras, BakeOptions, Receivers, Shard,
+    Bake, BakeError,
     integrate::shard_of,
     lobes::{self, Asked},
 };
@@ -9,20 +9,18 @@ use std::io::{self, Write};
 use umbrage_aomask::{Outputs, Pattern, Receiver, exact::adaptive::Spent};
 use umbrage_query::{Engine, QueryError};
 
-/// [`crate::bake`] by an engine that answers receivers.
+/// [`Bake`] by an engine that answers receivers.
 pub(super) fn bake_receivers(
+    call: Bake<'_>,
     engine: &dyn Engine,
     radius: f32,
-    receivers: &Receivers,
-    options: &BakeOptions,
-    shard: Shard,
-    (ao, extras): (&mut [f32], BakeExtras<'_, '_>),
+    ao: &mut [f32],
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<Spent, BakeError> {
-    if options.target_error.is_some() && extras.dump.is_some() {
+    let Bake { receivers, options, shard, dump, bent_normals, .. } = call;
+    if options.target_error.is_some() && dump.is_some() {
         return Err(BakeError::TargetError("receivers get different numbers of rays, which can't be listed"));
     }
-    let BakeExtras { dump, bent_normals } = extras;
     if let Some(bent) = bent_normals.as_ref().filter(|bent| bent.len() != receivers.len()) {
         let (actual, expected) = (bent.len(), receivers.len());
         return Err(BakeError::Length { what: "bent normals", actual, expected });

@@ -59,20 +59,6 @@ pub enum NormalSource {
     File,
 }
 
-/// One of several parts of a bake, to be computed apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shard {
-    /// Which part, from 0.
-    pub index: u32,
-    /// How many parts, at least 1 and at most the number of blocks ([`super::blocks`]).
-    pub count: u32,
-}
-
-impl Shard {
-    /// Everything in one part.
-    pub const WHOLE: Self = Self { index: 0, count: 1 };
-}
-
 impl Default for BakeOptions {
     fn default() -> Self {
         Self {

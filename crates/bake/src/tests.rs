@@ -7,12 +7,13 @@ use super::*;
 use proptest::prelude::*;
 use umbrage_accel::{BuildOptions, Bvh};
 use umbrage_aomask::Sides;
+use umbrage_aomask::exact::adaptive::Spent;
 use umbrage_geom::{
     Falloff, MeshError, MeshObject, Ray, TriangleMesh,
     glam::{Affine3A, Quat, Vec2, Vec3},
     sampling::{RandomStream, cosine_hemisphere, sobol_2d, uniform_sphere},
 };
-use umbrage_query::{AoMethod, Ground};
+use umbrage_query::{AoMethod, Ground, Occluders, QueryError};
 use umbrage_scene::Radius;
 
 /// [`bake`] of plain points and normals.
@@ -22,9 +23,9 @@ fn bake_points(
     normals: &[[f32; 3]],
     options: &BakeOptions,
     ao: &mut [f32],
-) -> Result<(), BakeError> {
+) -> Result<Spent, BakeError> {
     let receivers = Receivers::from_points(points, normals)?;
-    bake(occluders, &receivers, options, Shard::WHOLE, ao, &mut |_| true)
+    Bake::new(occluders, &receivers, options).run(ao, &mut |_| true)
 }
 
 /// A globe of `n` x `2 n` quads around the origin, radius 1, with a latitude-longitude map.
@@ -107,7 +108,7 @@ fn occlusion(meshes: &[&TriangleMesh], point: [f32; 3], normal: [f32; 3], option
 fn bake_all(mesh: &TriangleMesh, receivers: &Receivers, options: &BakeOptions) -> Vec<f32> {
     let occluders = Occluders::of_meshes(&[mesh], Ground::Absent, &mut |_| true).unwrap();
     let mut ao = vec![f32::NAN; receivers.len()];
-    bake(&occluders, receivers, options, Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
+    Bake::new(&occluders, receivers, options).run(&mut ao, &mut |_| true).unwrap();
     ao
 }
 
@@ -199,7 +200,7 @@ fn ground_below() {
     let occluders = Occluders::of_meshes(&[&plane], Ground::Below, &mut |_| true).unwrap();
     let receivers = Receivers::vertices(&plane, NormalSource::Geometric).unwrap();
     let mut ao = [f32::NAN; 4];
-    bake(&occluders, &receivers, &BakeOptions::default(), Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
+    Bake::new(&occluders, &receivers, &BakeOptions::default()).run(&mut ao, &mut |_| true).unwrap();
     assert_eq!(ao, [1.0; 4]);
 }
 
@@ -304,7 +305,7 @@ fn vertices_without_a_side_are_open() {
     for normals in [NormalSource::Geometric, NormalSource::Smooth] {
         let receivers = Receivers::vertices(&mesh, normals).unwrap();
         let mut ao = vec![f32::NAN; 7];
-        bake(&occluders, &receivers, &BakeOptions::default(), Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
+        Bake::new(&occluders, &receivers, &BakeOptions::default()).run(&mut ao, &mut |_| true).unwrap();
         assert!(ao[..4].iter().all(|&x| x < 0.05), "{ao:?}");
         assert_eq!(ao[4..], [1.0; 3]);
     }
@@ -328,7 +329,8 @@ fn threads_and_shards_give_the_same_bits() {
     let options = BakeOptions::default().with_rays(40).with_radius(radius).with_falloff(Falloff::Linear);
     let run = |threads: usize, shard: Shard, ao: &mut [f32]| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| bake(&occluders, &receivers, &options, shard, ao, &mut |_| true)).unwrap();
+        pool.install(|| Bake::new(&occluders, &receivers, &options).with_shard(shard).run(ao, &mut |_| true))
+            .unwrap();
     };
     let new = || vec![f32::NAN; receivers.len()];
     let [mut one, mut two, mut merged] = [new(), new(), new()];
@@ -339,16 +341,14 @@ fn threads_and_shards_give_the_same_bits() {
     let count = blocks(receivers.len()) as u32;
     assert!(count > 2);
     for (done, index) in (0..count).rev().enumerate() {
-        run(2, Shard { index, count }, &mut merged);
+        run(2, Shard::new(index + 1, count).unwrap(), &mut merged);
         assert_eq!(merged.iter().any(|x| x.is_nan()), done + 1 < count as usize);
     }
     assert_eq!(one, merged);
-    for shard in
-        [Shard { index: 0, count: count + 1 }, Shard { index: 2, count: 2 }, Shard { index: 0, count: 0 }]
-    {
-        let error = bake(&occluders, &receivers, &options, shard, &mut merged, &mut |_| true);
-        assert!(matches!(error, Err(BakeError::Shard { .. })));
-    }
+    let many = Shard::new(1, count + 1).unwrap();
+    let error = Bake::new(&occluders, &receivers, &options).with_shard(many).run(&mut merged, &mut |_| true);
+    assert!(matches!(error, Err(BakeError::Shard { .. })));
+    assert!(Shard::new(3, 2).is_err() && Shard::new(0, 0).is_err());
 }
 
 #[test]
@@ -357,15 +357,16 @@ fn progress_ends_at_one_and_cancels() {
     let options = BakeOptions::default().with_rays(4);
     let mut ao = vec![-1.0; receivers.len()];
     let mut seen = Vec::new();
-    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |f| {
-        seen.push(f);
-        true
-    })
-    .unwrap();
+    Bake::new(&occluders, &receivers, &options)
+        .run(&mut ao, &mut |f| {
+            seen.push(f);
+            true
+        })
+        .unwrap();
     assert!(seen.windows(2).all(|w| w[0] < w[1]) && seen.last() == Some(&1.0), "{seen:?}");
     for limit in [0.0, 0.99] {
         let mut ao = vec![-1.0; receivers.len()];
-        let cancelled = bake(&occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |f| f < limit);
+        let cancelled = Bake::new(&occluders, &receivers, &options).run(&mut ao, &mut |f| f < limit);
         assert!(matches!(cancelled, Err(BakeError::Cancelled)));
         assert!(ao.iter().all(|&x| x == -1.0));
     }
@@ -416,6 +417,6 @@ fn bad_input_is_named() {
     assert!(matches!(Receivers::vertices(&mesh, NormalSource::File), Err(BakeError::NoNormals)));
     let mut short = [0.0; 1];
     let receivers = Receivers::from_points(&[[0.0; 3]; 2], &[UP; 2]).unwrap();
-    let error = bake(&occluders, &receivers, &base(), Shard::WHOLE, &mut short, &mut |_| true);
+    let error = Bake::new(&occluders, &receivers, &base()).run(&mut short, &mut |_| true);
     assert!(matches!(error, Err(BakeError::Length { what: "results", .. })));
 }

@@ -18,4 +18,4 @@ pub use film::{Film, GREY, Layer, MAX_PIXELS, MAX_SIDE, RGB, XYZ, Z, names};
 pub use fingerprint::Fingerprint;
 pub use openexr::{encode_exr, read_exr, write_exr};
 pub use png::{ValueRange, encode_png, read_png, write_grey, write_heat_map, write_picture, write_png};
-pub use shard::{Merged, Part, ShardError, ShardSpec, Tile, TileGrid, merge, read_part, write_part};
+pub use shard::{Merged, Part, Shard, ShardError, Tile, TileGrid, merge, read_part, write_part};

@@ -66,7 +66,7 @@ pub enum ShardError {
         /// The first file.
         first: PathBuf,
         /// The shard.
-        shard: ShardSpec,
+        shard: Shard,
     },
     /// Some shards are in no file.
     #[error("of {count} shards, {} missing: {}", are(.missing), list(.missing))]
@@ -89,12 +89,12 @@ fn list(missing: &[u32]) -> String {
 
 /// One shard of several, written `I/N`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ShardSpec {
+pub struct Shard {
     index: u32,
     count: u32,
 }
 
-impl ShardSpec {
+impl Shard {
     /// The one shard that is the whole image.
     pub const WHOLE: Self = Self { index: 1, count: 1 };
 
@@ -143,7 +143,7 @@ impl ShardSpec {
     }
 }
 
-impl FromStr for ShardSpec {
+impl FromStr for Shard {
     type Err = ShardError;
 
     fn from_str(text: &str) -> Result<Self, ShardError> {
@@ -158,7 +158,7 @@ impl FromStr for ShardSpec {
     }
 }
 
-impl fmt::Display for ShardSpec {
+impl fmt::Display for Shard {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}", self.index, self.count)
     }
@@ -237,7 +237,7 @@ impl TileGrid {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
     /// The shard that the part holds.
-    pub shard: ShardSpec,
+    pub shard: Shard,
     /// Pixels along a side of a tile.
     pub tile_size: u32,
     /// Hash of the scene and of all settings that decide about pixels; only parts with the same one are joined.
@@ -376,15 +376,15 @@ mod tests {
 
     #[test]
     fn shards_are_two_numbers() {
-        assert_eq!("2/3".parse(), ShardSpec::new(2, 3));
-        assert_eq!("3/3".parse::<ShardSpec>().unwrap().to_string(), "3/3");
+        assert_eq!("2/3".parse(), Shard::new(2, 3));
+        assert_eq!("3/3".parse::<Shard>().unwrap().to_string(), "3/3");
         for text in
             ["", "1", "/", "1/", "/2", "a/b", "1/2/3", "-1/2", "+1/2", " 1/2", "1/4294967296", "1.0/2"]
         {
-            assert_eq!(text.parse::<ShardSpec>(), Err(ShardError::Syntax(text.into())));
+            assert_eq!(text.parse::<Shard>(), Err(ShardError::Syntax(text.into())));
         }
         for (text, index, count) in [("0/2", 0, 2), ("3/2", 3, 2), ("0/0", 0, 0), ("1/0", 1, 0)] {
-            assert_eq!(text.parse::<ShardSpec>(), Err(ShardError::Range { index, count }));
+            assert_eq!(text.parse::<Shard>(), Err(ShardError::Range { index, count }));
         }
     }
 
@@ -394,7 +394,7 @@ mod tests {
         assert_eq!(grid.count(), 15);
         let mut seen = vec![0; 70 * 33];
         for i in 1..=4 {
-            let shard = ShardSpec::new(i, 4).unwrap();
+            let shard = Shard::new(i, 4).unwrap();
             for index in shard.tiles(&grid).unwrap() {
                 assert!(shard.holds(index));
                 let tile = grid.tile(index);
@@ -404,8 +404,8 @@ mod tests {
             }
         }
         assert!(seen.iter().all(|&n| n == 1));
-        assert!(ShardSpec::new(1, 15).unwrap().tiles(&grid).is_ok());
-        let too_many = ShardSpec::new(1, 16).unwrap().tiles(&grid).map(|_| ());
+        assert!(Shard::new(1, 15).unwrap().tiles(&grid).is_ok());
+        let too_many = Shard::new(1, 16).unwrap().tiles(&grid).map(|_| ());
         assert_eq!(too_many, Err(ShardError::TooMany { shards: 16, tiles: 15 }));
         assert!(TileGrid::new(1, 1, 0).is_err());
         assert_eq!(TileGrid::new(10, 10, u32::MAX).unwrap().count(), 1);
@@ -413,7 +413,7 @@ mod tests {
 
     #[test]
     fn parts_read_back_what_they_say() {
-        let shard = ShardSpec::new(2, 7).unwrap();
+        let shard = Shard::new(2, 7).unwrap();
         let part = Part { shard, tile_size: 32, fingerprint: 0xfeed, exposure: -0.1 };
         assert_eq!(Part::parse(&part.to_string()), Some(part));
         for text in ["", "2/7", "8/7 tile=1 fingerprint=0 exposure=0", "1/1 tile=0 fingerprint=0 exposure=0"]

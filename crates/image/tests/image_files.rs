@@ -186,7 +186,7 @@ fn a_failed_write_keeps_the_old_file() {
 }
 
 fn part(index: u32, count: u32) -> Part {
-    let shard = ShardSpec::new(index, count).unwrap();
+    let shard = Shard::new(index, count).unwrap();
     Part { shard, tile_size: 16, fingerprint: 0xdead_beef_0123_4567, exposure: 0.1 }
 }
 

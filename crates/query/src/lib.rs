@@ -12,4 +12,5 @@ pub mod subdivide;
 pub use engine::{Answers, Engine, LightRay, Sky};
 pub use error::QueryError;
 pub use method::{AoMethod, Exactness, Method, Needs, SceneKind, Selection, ShadowMethod, SurfaceMode, View};
-pub use occluders::{Ground, Made, Occluders, Structure, Surface, SurfaceWork};
+pub use occluders::{Made, Occluders, ShadingPoint, Structure, SurfaceWork};
+pub use umbrage_scene::Ground;

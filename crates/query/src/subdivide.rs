@@ -99,7 +99,7 @@ pub fn scene_around(
 ) -> Result<Scene, QueryError> {
     let failed = |source| QueryError::Surface { object: name.into(), source };
     let rough = mesh_at_level(control, ROUGH_LEVEL).map_err(failed)?;
-    let mut scene = Scene::around_mesh(name, rough, Ground::Plane).map_err(|e| failed(e.into()))?;
+    let mut scene = Scene::around_mesh(name, rough, Ground::Below).map_err(|e| failed(e.into()))?;
     settings(&mut scene.settings);
     let rate = SubdivisionRate::Pixels(pixels);
     scene.meshes[0].subdivision = Some(Subdivision::new(control.clone(), rate));

@@ -9,7 +9,7 @@ use umbrage_geom::{
     offset_origin,
     sampling::{combine, concentric_disc, pixel_seed, sobol_2d, sobol_4d, unit},
 };
-use umbrage_query::{Answers, Engine, LightRay, Occluders, QueryError, Surface};
+use umbrage_query::{Answers, Engine, LightRay, Occluders, QueryError, ShadingPoint};
 
 /// Semi-transparent surfaces that a camera ray may pass before it gives up.
 const MOST_LAYERS: u32 = 1000;
@@ -130,7 +130,7 @@ fn luminance(c: Vec3) -> f32 {
 }
 
 /// Where rays leave a surface.
-fn origin_on(surface: &Surface) -> Vec3 {
+fn origin_on(surface: &ShadingPoint) -> Vec3 {
     let n = surface.geometric_normal;
     offset_origin(surface.point, n, n, surface.magnitude)
 }
@@ -239,7 +239,7 @@ impl Integrator<'_> {
         (ray, differential): &(Ray, RayDifferential),
         seed: u32,
         scratch: &mut Scratch,
-    ) -> Option<Surface> {
+    ) -> Option<ShadingPoint> {
         let mut rest = *ray;
         for layer in 0..MOST_LAYERS {
             scratch.counts.camera += 1;
@@ -257,7 +257,7 @@ impl Integrator<'_> {
         None
     }
 
-    fn shade(&self, surface: &Surface, sample: u32, seed: u32, scratch: &mut Scratch, sums: &mut Sums) {
+    fn shade(&self, surface: &ShadingPoint, sample: u32, seed: u32, scratch: &mut Scratch, sums: &mut Sums) {
         let origin = origin_on(surface);
         let mut irradiance = Vec3::ZERO;
         for (number, light) in self.lights.iter().enumerate() {
@@ -283,7 +283,7 @@ impl Integrator<'_> {
         light: &Light,
         number: u32,
         origin: Vec3,
-        surface: &Surface,
+        surface: &ShadingPoint,
         sample: u32,
         seed: u32,
         scratch: &mut Scratch,
@@ -322,7 +322,7 @@ impl Integrator<'_> {
         &self,
         sky: &Sky,
         origin: Vec3,
-        surface: &Surface,
+        surface: &ShadingPoint,
         sample: u32,
         seed: u32,
         scratch: &mut Scratch,

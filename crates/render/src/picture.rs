@@ -13,7 +13,7 @@ use std::sync::Mutex;
 use umbrage_accel::Counters;
 use umbrage_aomask::{Pattern, PatternOptions};
 use umbrage_geom::{Progress, glam::Vec3};
-use umbrage_image::{Film, GREY, RGB, ShardSpec, Tile, TileGrid, XYZ, Z, names};
+use umbrage_image::{Film, GREY, RGB, Shard, Tile, TileGrid, XYZ, Z, names};
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 use umbrage_query::{
     AoMethod, Engine, Exactness, Occluders, QueryError, SceneKind, Selection, ShadowMethod, Sky as SkyQuery,
@@ -32,7 +32,7 @@ pub const MAX_SAMPLES: u32 = 1 << 20;
 #[non_exhaustive]
 pub struct RenderOptions {
     /// Which tiles to render; the others stay 0.
-    pub shard: ShardSpec,
+    pub shard: Shard,
     /// Whether to count work for the layer `cost`; without it there is no such layer, and rays are a little faster.
     pub count_cost: bool,
     /// Root mean square error of the layers `shadow` and `ao` to aim at, more than 0: numbers of samples are chosen by pilot pixels
@@ -42,14 +42,14 @@ pub struct RenderOptions {
 
 impl Default for RenderOptions {
     fn default() -> Self {
-        Self { shard: ShardSpec::WHOLE, count_cost: false, target_error: None }
+        Self { shard: Shard::WHOLE, count_cost: false, target_error: None }
     }
 }
 
 impl RenderOptions {
     /// Renders only the tiles of `shard`.
     #[must_use]
-    pub fn with_shard(self, shard: ShardSpec) -> Self {
+    pub fn with_shard(self, shard: Shard) -> Self {
         Self { shard, ..self }
     }
 

@@ -1,7 +1,7 @@
 //! Pictures whose values are known in closed form, and the same bits for any threads and shards.
 
 use umbrage_geom::{TriangleMesh, glam::Affine3A};
-use umbrage_image::{Film, ShardSpec};
+use umbrage_image::{Film, Shard};
 use umbrage_query::Occluders;
 use umbrage_render::{RenderOptions, render};
 use umbrage_scene::{
@@ -178,17 +178,17 @@ fn threads_and_shards_do_not_change_a_bit() {
     });
     add(&mut scene, sphere(0.4, 0.4), 1);
     let occluders = Occluders::of_scene(&scene, &mut |_| true).unwrap();
-    let with = |threads: usize, shard: ShardSpec| {
+    let with = |threads: usize, shard: Shard| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let options = RenderOptions::default().with_count_cost(true).with_shard(shard);
         pool.install(|| render(&scene, &occluders, &options, &mut |_| true)).unwrap().film
     };
-    let whole = with(1, ShardSpec::WHOLE);
-    assert!(whole.same_bits(&with(2, ShardSpec::WHOLE)));
+    let whole = with(1, Shard::WHOLE);
+    assert!(whole.same_bits(&with(2, Shard::WHOLE)));
     let grid = umbrage_image::TileGrid::new(100, 70, umbrage_render::TILE).unwrap();
     let mut joined = with(1, "1/3".parse().unwrap());
     for shard in ["2/3", "3/3"] {
-        let shard: ShardSpec = shard.parse().unwrap();
+        let shard: Shard = shard.parse().unwrap();
         let part = with(2, shard);
         shard.tiles(&grid).unwrap().for_each(|i| joined.copy_tile(&part, &grid.tile(i)));
     }

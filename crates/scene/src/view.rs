@@ -4,14 +4,14 @@ use crate::scene::{Ambient, Camera, Instance, Light, Material, NamedMesh, Radius
 use umbrage_geom::glam::{Affine3A, Vec3};
 use umbrage_geom::{Aabb, MeshError, TriangleMesh};
 
-/// What a bare mesh stands on in [`Scene::around_mesh`].
+/// What a mesh stands on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Ground {
-    /// A large square just below the mesh.
-    #[default]
-    Plane,
     /// Nothing.
-    None,
+    #[default]
+    Absent,
+    /// A large opaque square just below the lowest point, facing up; whoever adds it says how large.
+    Below,
 }
 
 impl Default for Material {
@@ -85,7 +85,7 @@ impl Scene {
         let size = if bounds.diagonal() > 0.0 { bounds.diagonal() } else { 1.0 };
         let objects = mesh.objects_or_whole().len();
         let mut meshes = vec![NamedMesh::new(name, mesh)];
-        if ground == Ground::Plane {
+        if ground == Ground::Below {
             let name = if name == "ground" { "ground plane" } else { "ground" };
             meshes.push(NamedMesh::new(name, ground_plane(bounds, size)?));
         }
@@ -101,10 +101,10 @@ impl Scene {
             .collect();
         let material = Material::default();
         let materials = match ground {
-            Ground::Plane => {
+            Ground::Below => {
                 vec![material, Material { name: "ground".into(), albedo: [0.5; 3], opacity: 1.0 }]
             }
-            Ground::None => vec![material],
+            Ground::Absent => vec![material],
         };
         Ok(Self {
             camera,
@@ -170,7 +170,7 @@ mod tests {
     #[test]
     fn a_bare_mesh_is_seen_and_lit() {
         for scale in [1e-6, 1.0, 1e9] {
-            let scene = Scene::around_mesh("shape", triangle(scale), Ground::Plane).unwrap();
+            let scene = Scene::around_mesh("shape", triangle(scale), Ground::Below).unwrap();
             let [position, target] = [scene.camera.position, scene.camera.target].map(Vec3::from);
             let bounds = scene.meshes[0].mesh.bounds();
             let view = (target - position).normalize();
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn bounds_cover_instances() {
-        let mut scene = Scene::around_mesh("shape", triangle(1.0), Ground::None).unwrap();
+        let mut scene = Scene::around_mesh("shape", triangle(1.0), Ground::Absent).unwrap();
         scene.instances.push(Instance {
             name: "moved".into(),
             world_from_object: Affine3A::from_translation(Vec3::new(10.0, 0.0, 0.0)),

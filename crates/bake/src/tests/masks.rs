@@ -32,12 +32,18 @@ fn masks_have_the_answers_of_their_rays() {
         }
         let options = BakeOptions::default().with_rays(256).with_radius(Radius::Absolute(3.0));
         let mut reference = vec![0.0; receivers.len()];
-        bake(occluders, receivers, &options, Shard::WHOLE, &mut reference, &mut |_| true).unwrap();
+        Bake::new(occluders, receivers, &options).run(&mut reference, &mut |_| true).unwrap();
         let masks =
             |shard, ao: &mut [f32], dump: Option<&mut dyn std::io::Write>, bent: Option<&mut [[f32; 3]]>| {
-                let extras = BakeExtras { dump, bent_normals: bent };
                 let options = options.clone().with_method(method);
-                bake_with(occluders, receivers, &options, shard, ao, extras, &mut |_| true).unwrap();
+                let mut call = Bake::new(occluders, receivers, &options).with_shard(shard);
+                if let Some(out) = dump {
+                    call = call.with_rays_to(out);
+                }
+                if let Some(bent) = bent {
+                    call = call.with_bent_normals(bent);
+                }
+                call.run(ao, &mut |_| true).unwrap();
             };
         let (mut ao, mut rays) = (vec![f32::NAN; receivers.len()], Vec::new());
         let mut bent = vec![[f32::NAN; 3]; receivers.len()];
@@ -47,8 +53,8 @@ fn masks_have_the_answers_of_their_rays() {
         assert!(error < 0.015 && least < 0.8, "error {error}, least {least}, {method:?}");
         assert!(bent.iter().all(|&n| (Vec3::from(n).length() - 1.0).abs() < 1e-5));
         let mut parts = vec![f32::NAN; receivers.len()];
-        for index in 0..3 {
-            masks(Shard { index, count: 3 }, &mut parts, None, None);
+        for index in 1..=3 {
+            masks(Shard::new(index, 3).unwrap(), &mut parts, None, None);
         }
         let close = |(a, b): (&f32, &f32)| (a - b).abs() < 1e-6;
         assert!(parts.iter().zip(&ao).all(close), "{method:?}");
@@ -86,7 +92,7 @@ fn convex_surfaces_are_open_to_masks_around_shading_normals() {
         TexelMap::new(&globe, 16, 8, VAxis::Up).unwrap().receivers(&globe, NormalSource::Smooth).unwrap();
     let mut ao = vec![f32::NAN; receivers.len()];
     let options = BakeOptions::default().with_rays(1024).with_method(AoMethod::Mask);
-    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |_| true).unwrap();
+    Bake::new(&occluders, &receivers, &options).run(&mut ao, &mut |_| true).unwrap();
     assert!(ao.iter().all(|&ao| ao == 1.0));
 }
 
@@ -97,9 +103,9 @@ fn rays_that_start_inside_are_free_where_fronts_must_come_first() {
     let receivers = Receivers::from_points(&[[0.0; 3], [0.0, 3.0, 0.0]], &[UP, [0.0, -1.0, 0.0]]).unwrap();
     let options = BakeOptions::default().with_sides(Sides::FrontFirst);
     let (mut by_rays, mut by_masks) = ([0.0; 2], [0.0; 2]);
-    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut by_rays, &mut |_| true).unwrap();
+    Bake::new(&occluders, &receivers, &options).run(&mut by_rays, &mut |_| true).unwrap();
     let options = options.with_method(AoMethod::Mask);
-    bake(&occluders, &receivers, &options, Shard::WHOLE, &mut by_masks, &mut |_| true).unwrap();
+    Bake::new(&occluders, &receivers, &options).run(&mut by_masks, &mut |_| true).unwrap();
     for ao in [by_rays, by_masks] {
         assert!(ao[0] == 1.0 && (ao[1] - 8.0 / 9.0).abs() < 0.03, "{ao:?}");
     }
@@ -119,7 +125,7 @@ fn masks_name_what_they_cannot_do() {
         Occluders::of_meshes(&[&transparent(globe.clone(), 0.5)], Ground::Absent, &mut |_| true).unwrap();
     let mut call = |occluders: &Occluders, rays: u32, method, sides, go_on: bool| {
         let options = BakeOptions::default().with_rays(rays).with_sides(sides).with_method(method);
-        bake(occluders, &receivers, &options, Shard::WHOLE, &mut ao, &mut |_| go_on)
+        Bake::new(occluders, &receivers, &options).run(&mut ao, &mut |_| go_on)
     };
     for method in [AoMethod::MaskTable, AoMethod::Mask] {
         let odd = call(&opaque, 33, method, Sides::Both, true);

@@ -8,7 +8,7 @@ use umbrage_geom::{OpticalDepth, Ray, RayDifferential, TriangleHit, glam::*, int
 
 /// The surface that a ray meets.
 #[derive(Clone, Copy, Debug)]
-pub struct Surface {
+pub struct ShadingPoint {
     /// The point, rounded; see [`Self::magnitude`].
     pub point: Vec3,
     /// Unit normal of the triangle, towards where the ray came from.
@@ -135,16 +135,16 @@ impl Occluders {
         ray: &Ray,
         differential: &RayDifferential,
         stats: &mut impl Statistics,
-    ) -> Option<Surface> {
+    ) -> Option<ShadingPoint> {
         let triangle = self.closest_triangle(ray, stats);
         let Some(surfaces) = &self.surfaces else { return triangle };
         let rest = triangle.as_ref().map_or(*ray, |surface| ray.with_tfar(surface.t));
         let nearest = surfaces.closest_hit(&rest, differential, &self.albedos, stats).or(triangle)?;
         let edges = differential.footprint(nearest.t).map(|edge| edge.length());
-        Some(Surface { width: edges[0].min(edges[1]), ..nearest })
+        Some(ShadingPoint { width: edges[0].min(edges[1]), ..nearest })
     }
 
-    fn closest_triangle(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<Surface> {
+    fn closest_triangle(&self, ray: &Ray, stats: &mut impl Statistics) -> Option<ShadingPoint> {
         let (instance, hit) = match &self.hierarchy {
             Hierarchy::Absent => return None,
             Hierarchy::Flat(bvh) => (0, bvh.closest_hit_with(ray, stats)?),
@@ -166,7 +166,7 @@ impl Occluders {
         self.object_of(address).1
     }
 
-    fn surface(&self, address: Address, hit: &TriangleHit, ray: &Ray) -> Surface {
+    fn surface(&self, address: Address, hit: &TriangleHit, ray: &Ray) -> ShadingPoint {
         let placed = &self.placed[address.0 as usize];
         let mesh = &self.parts[placed.part].mesh;
         let index = address.1 as usize;
@@ -201,7 +201,7 @@ impl Occluders {
             let colors = mesh.triangles[index].map(|v| Vec3A::from(mesh.vertex_colors[v as usize]));
             albedo *= colors[0] * weights[0] + colors[1] * weights[1] + colors[2] * weights[2];
         }
-        Surface {
+        ShadingPoint {
             point,
             geometric_normal: geometric.into(),
             shading_normal: shading.map_or(geometric, |n| towards(n, geometric)).into(),

@@ -9,7 +9,7 @@ mod surfaces;
 
 pub use demand::{Made, Structure};
 pub(crate) use demand::{PrefilteredParts, solids};
-pub use hits::Surface;
+pub use hits::ShadingPoint;
 pub use surfaces::SurfaceWork;
 
 use super::{QueryError, SceneKind, SurfaceMode, View, engine::Report};
@@ -22,23 +22,10 @@ use umbrage_geom::{
     glam::*,
     mesh::{MAX_COORDINATE, MAX_ELEMENTS},
 };
-use umbrage_scene::Scene;
+use umbrage_scene::{Ground, Scene};
 
 /// Up to so many triangles in all, repeated meshes are copied into one flat BVH, whose rays are faster.
 const FLATTEN_TRIANGLES: usize = 2_000_000;
-
-/// An opaque ground under everything.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Ground {
-    /// None.
-    #[default]
-    Absent,
-    /// A square below the lowest y, facing up, with sides of 2000 diagonals.
-    ///
-    /// It lies 1e-4 of the diagonal (or 1e-5 of the largest coordinate, if that is more) below the lowest vertex, so that
-    /// surfaces that rest on it are occluded rather than under it. It counts neither for the diagonal nor for the bounds.
-    Below,
-}
 
 /// Triangles that block rays, ready for every method.
 pub struct Occluders {
@@ -141,6 +128,10 @@ impl Occluders {
 
     /// Meshes in world space (usually the baked mesh first, then others that only occlude) and the ground, as one mesh. Objects
     /// block by their [`opacity`](umbrage_geom::MeshObject::opacity). `progress` as in [`Self::of_scene`].
+    ///
+    /// The ground has sides of 2000 diagonals. It lies 1e-4 of the diagonal (or 1e-5 of the largest coordinate, if that is more)
+    /// below the lowest vertex, so that surfaces that rest on it are occluded rather than under it. It counts neither for the diagonal
+    /// nor for the bounds.
     ///
     /// # Errors
     /// [`QueryError::NoOccluder`], [`QueryError::Mesh`], [`QueryError::Build`], [`QueryError::Cancelled`].

@@ -1,6 +1,6 @@
 //! Subdivision surfaces among occluders that are traced as such, without triangle meshes.
 
-use super::{Surface as ShadingPoint, objects_of};
+use super::{ShadingPoint, objects_of};
 use crate::{QueryError, SurfaceMode, subdivide};
 use std::{
     ops::ControlFlow,

@@ -5,12 +5,9 @@ use anyhow::{Context, Result, ensure};
 use serde_json::json;
 use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
 use umbrage::{
-    bake::baked::{Baked, Surface, check_part_extension},
-    bake::{
-        BakeError, BakeExtras, BakeOptions, NormalSource, Receivers, Shard, TexelMap, VAxis, bake_with,
-        blocks,
-    },
-    image::{Fingerprint, ShardError, ShardSpec},
+    bake::baked::{BakeTarget, Baked, check_part_extension},
+    bake::{Bake, BakeError, BakeOptions, NormalSource, Receivers, TexelMap, VAxis, blocks},
+    image::{Fingerprint, Shard, ShardError},
     query::{AoMethod, Ground, Occluders, SceneKind, Selection, View, engine, plan},
 };
 use umbrage_aomask::Sides;
@@ -80,7 +77,7 @@ pub struct BakeArguments {
     threads: Option<usize>,
     /// Bake only part I of N, to a .ply that `umbrage merge` joins with the others.
     #[arg(long, value_name = "I/N")]
-    shard: Option<ShardSpec>,
+    shard: Option<Shard>,
     /// Write all rays and whether they were blocked, for checks against other ray casters: 36 bytes a ray, little-endian
     /// floats origin, tnear, direction, tfar, then 1 or 0 as an integer. Only for methods with masks.
     #[arg(long, value_name = "FILE")]
@@ -272,18 +269,18 @@ fn read(arguments: &BakeArguments) -> Result<Input> {
 }
 
 /// Where to bake, and how to write it down.
-fn receivers(arguments: &BakeArguments, input: &Input) -> Result<(Receivers, Surface)> {
+fn receivers(arguments: &BakeArguments, input: &Input) -> Result<(Receivers, BakeTarget)> {
     let (mesh, normals) = (&input.mesh, arguments.normal_source());
     if let Some(points) = &input.points {
-        let surface =
-            Surface::Points { positions: points.positions.clone(), normals: points.normals.clone() };
-        return Ok((Receivers::from_points(&points.positions, &points.normals)?, surface));
+        let target =
+            BakeTarget::Points { positions: points.positions.clone(), normals: points.normals.clone() };
+        return Ok((Receivers::from_points(&points.positions, &points.normals)?, target));
     }
     match arguments.per {
         Per::Vertex => {
             // Colours that the mesh had give way to those that are baked.
             let plain = TriangleMesh { vertex_colors: Vec::new(), ..mesh.clone() };
-            Ok((Receivers::vertices(mesh, normals)?, Surface::Vertices(plain)))
+            Ok((Receivers::vertices(mesh, normals)?, BakeTarget::Vertices(plain)))
         }
         Per::Texel => {
             let [width, height] = arguments.size.0;
@@ -294,7 +291,7 @@ fn receivers(arguments: &BakeArguments, input: &Input) -> Result<(Receivers, Sur
                 .filter(|&i| covered[i as usize])
                 .map(|i| [i % width, i / width])
                 .collect();
-            Ok((receivers, Surface::Texels { width, height, at, dilate: arguments.dilate }))
+            Ok((receivers, BakeTarget::Texels { width, height, at, dilate: arguments.dilate }))
         }
     }
 }
@@ -307,11 +304,11 @@ fn bake_and_write(
     load_s: f64,
 ) -> Result<()> {
     let source = || arguments.mesh.display().to_string();
-    let (receivers, surface) = receivers(arguments, &input).with_context(source)?;
+    let (receivers, target) = receivers(arguments, &input).with_context(source)?;
     if arguments.shard.is_none() {
-        surface.check_extension(&arguments.output)?;
+        target.check_extension(&arguments.output)?;
     }
-    let shard = arguments.shard.unwrap_or(ShardSpec::WHOLE);
+    let shard = arguments.shard.unwrap_or(Shard::WHOLE);
     let parts = blocks(receivers.len());
     if shard.count() as usize > parts {
         return Err(ShardError::TooMany { shards: shard.count(), tiles: parts as u32 }.into());
@@ -329,12 +326,17 @@ fn bake_and_write(
     bar.check()?;
     let start = Instant::now();
     let mut ao = vec![f32::NAN; receivers.len()];
-    let part = Shard { index: shard.index() - 1, count: shard.count() };
     let mut report = |f| bar.report(f);
     let mut bent = arguments.bent_normals.then(|| vec![[0.0; 3]; receivers.len()]);
     let mut run = |dump: Option<&mut dyn Write>| {
-        let extras = BakeExtras { dump, bent_normals: bent.as_deref_mut() };
-        bake_with(&occluders, &receivers, options, part, &mut ao, extras, &mut report)
+        let mut call = Bake::new(&occluders, &receivers, options).with_shard(shard);
+        if let Some(out) = dump {
+            call = call.with_rays_to(out);
+        }
+        if let Some(bent) = &mut bent {
+            call = call.with_bent_normals(bent);
+        }
+        call.run(&mut ao, &mut report)
     };
     let spent = match &arguments.dump_rays {
         None => run(None).map_err(interrupted)?,
@@ -360,7 +362,7 @@ fn bake_and_write(
     let bake_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let baked_here = ao.iter().filter(|ao| !ao.is_nan()).count();
-    let baked = Baked { surface, ao, bent_normals: bent };
+    let baked = Baked { target, ao, bent_normals: bent };
     match arguments.shard {
         None => baked.write(&arguments.output)?,
         Some(shard) => {
@@ -414,7 +416,7 @@ fn fingerprint(
 ) -> u64 {
     let mut fingerprint = Fingerprint::default();
     meshes.iter().for_each(|mesh| fingerprint.mesh(mesh));
-    if let Surface::Points { positions, normals } = &baked.surface {
+    if let BakeTarget::Points { positions, normals } = &baked.target {
         fingerprint.words(positions.iter().chain(normals).flatten().map(|x| x.to_bits()));
     }
     let all = format!("{options:?} {:?} {}", arguments.normal_source(), arguments.ground);

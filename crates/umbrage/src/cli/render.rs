@@ -10,7 +10,7 @@ use std::{
     time::Instant,
 };
 use umbrage::{
-    image::{self, ColorMap, Fingerprint, Part, ShardSpec, names},
+    image::{self, ColorMap, Fingerprint, Part, Shard, names},
     query::{AoMethod, Made, Occluders, Selection, ShadowMethod, SurfaceMode, subdivide},
     render::{MethodUsed, RenderError, RenderOptions, Rendered, TILE, check_settings, render},
 };
@@ -55,7 +55,7 @@ pub struct RenderArguments {
     threads: Option<usize>,
     /// Render only part I of N, to an .exr that `umbrage merge` joins with the others.
     #[arg(long, value_name = "I/N")]
-    shard: Option<ShardSpec>,
+    shard: Option<Shard>,
     /// Write times, counts and methods as JSON.
     #[arg(long, value_name = "FILE.json")]
     stats: Option<PathBuf>,
@@ -127,7 +127,7 @@ pub(super) fn load(path: &Path) -> Result<Scene> {
     if is_mesh(path) {
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         let mesh = umbrage_scene::read_mesh(path)?;
-        Ok(Scene::around_mesh(&name, mesh, Ground::Plane).with_context(|| path.display().to_string())?)
+        Ok(Scene::around_mesh(&name, mesh, Ground::Below).with_context(|| path.display().to_string())?)
     } else {
         Ok(Scene::load(path)?)
     }
@@ -174,7 +174,7 @@ fn render_and_write(
     let is_exr = image::Format::of(output)? == image::Format::Exr;
     let count_cost = is_exr || arguments.heatmap.is_some() || arguments.stats.is_some();
     let options = RenderOptions::default()
-        .with_shard(arguments.shard.unwrap_or(ShardSpec::WHOLE))
+        .with_shard(arguments.shard.unwrap_or(Shard::WHOLE))
         .with_count_cost(count_cost)
         .with_target_error(arguments.target_error);
     let start = Instant::now();
