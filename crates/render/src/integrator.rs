@@ -91,7 +91,10 @@ pub(crate) struct Pixel {
 
 /// Buffers reused from pixel to pixel, and what was counted.
 #[derive(Default)]
-pub(crate) struct Scratch {
+pub(crate) struct Scratch<'e> {
+    /// [`Engine::for_tile`] of the shadows' engine, and of the sky's.
+    shadows: Option<Box<dyn Engine + 'e>>,
+    ambient: Option<Box<dyn Engine + 'e>>,
     squares: Vec<Vec2>,
     rays: Vec<LightRay>,
     /// Unshadowed irradiance that each ray stands for, cosine included.
@@ -135,7 +138,13 @@ fn origin_on(surface: &ShadingPoint) -> Vec3 {
     offset_origin(surface.point, n, n, surface.magnitude)
 }
 
-impl Integrator<'_> {
+impl<'e> Integrator<'e> {
+    /// What the pixels of one tile need.
+    pub fn scratch(&self) -> Scratch<'e> {
+        let for_tile = |engine: Option<&'e dyn Engine>| engine?.for_tile(self.count_cost);
+        Scratch { shadows: for_tile(self.shadows), ambient: for_tile(self.ambient), ..Scratch::default() }
+    }
+
     /// Asks the ambient method about all receivers of `pixels`, if it answers receivers; [`Self::pixel`] is then called with
     /// the same pixels in the same order.
     pub fn open_pixels(&self, pixels: &[(u32, u32)], scratch: &mut Scratch) {
@@ -307,7 +316,7 @@ impl Integrator<'_> {
             arriving.push(incoming.irradiance * cosine);
         });
         scratch.counts.shadow += scratch.rays.len() as u64;
-        self.trace(self.shadows, Some(number as usize), scratch);
+        self.trace(Some(number as usize), scratch);
         let mut received = Vec3::ZERO;
         for (&arriving, &passed) in scratch.arriving.iter().zip(&scratch.passed) {
             received += arriving * passed;
@@ -343,17 +352,22 @@ impl Integrator<'_> {
             scratch.rays.extend(rays.map(ray));
         }
         scratch.counts.ambient += scratch.rays.len() as u64;
-        self.trace(self.ambient, None, scratch);
+        self.trace(None, scratch);
         if scratch.passed.is_empty() {
             return 1.0;
         }
         scratch.passed.iter().sum::<f32>() / scratch.passed.len() as f32
     }
 
-    fn trace(&self, engine: Option<&dyn Engine>, light: Option<usize>, scratch: &mut Scratch) {
+    /// Asks the rays in `scratch`, which go to a light, or to the sky.
+    fn trace(&self, light: Option<usize>, scratch: &mut Scratch) {
         scratch.passed.clear();
         scratch.passed.resize(scratch.rays.len(), 1.0);
         let counters = self.count_cost.then_some(&mut scratch.counters);
+        let engine = match light {
+            Some(_) => scratch.shadows.as_deref().or(self.shadows),
+            None => scratch.ambient.as_deref().or(self.ambient),
+        };
         if let Some(engine) = engine
             && let Err(error) = engine.transmittances(&scratch.rays, light, &mut scratch.passed, counters)
         {

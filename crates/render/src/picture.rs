@@ -179,12 +179,15 @@ pub fn render(
         let size = [settings.width, settings.height];
         integrator.open = raster_sky::openness(&integrator, engine, size, &mut |_| report(0.0))?;
     }
+    if options.count_cost {
+        engines.into_iter().flatten().for_each(Engine::prepare_all);
+    }
     let target = Mutex::new(Target::new(settings, options.count_cost)?);
     let progress = Progress::new(tiles.len() as u64, report);
     tiles.par_iter().try_for_each(|&index| {
         progress.check()?;
         let tile = grid.tile(index);
-        let mut scratch = Scratch::default();
+        let mut scratch = integrator.scratch();
         let places: Vec<(u32, u32)> =
             (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y))).collect();
         integrator.open_pixels(&places, &mut scratch);

@@ -6,7 +6,7 @@
 
 use crate::{
     RenderError,
-    integrator::{Integrator, Pixel, Scratch},
+    integrator::{Integrator, Pixel},
 };
 use rayon::prelude::*;
 use umbrage_geom::sampling::sobol_2d;
@@ -59,7 +59,7 @@ pub(crate) fn squared_errors<'a>(
     let rendered = |salt: u32| -> Result<Vec<Pixel>, RenderError> {
         let integrator = with_salt(salt);
         let block = |places: &[(u32, u32)]| {
-            let mut scratch = Scratch::default();
+            let mut scratch = integrator.scratch();
             integrator.open_pixels(places, &mut scratch);
             let pixels: Vec<Pixel> =
                 places.iter().map(|&(x, y)| integrator.pixel(x, y, &mut scratch)).collect();

@@ -1,8 +1,9 @@
 //! Methods that end rays inside of solids change no picture.
 
 use umbrage_geom::{MeshObject, TriangleMesh, glam::Affine3A};
+use umbrage_image::{ShardSpec, TileGrid};
 use umbrage_query::{Exactness, Occluders, QueryError, ShadowMethod};
-use umbrage_render::{RenderError, RenderOptions, render};
+use umbrage_render::{RenderError, RenderOptions, TILE, render};
 use umbrage_scene::{
     Camera, Instance, Light, Material, NamedMesh, Scene, Settings,
     generate::{Parameters, generate},
@@ -140,8 +141,47 @@ fn instances_kept_apart_share_occluders_and_pictures_stay() {
         let (bits, occluders) = picture("bvh-volumetric", count_cost, threads);
         assert_eq!(bits, expected);
         let occluders = occluders.unwrap();
-        // Of each mesh the body could; planes are flat.
-        assert_eq!((occluders.objects, occluders.prepared, occluders.generators), (2, 1, 1));
+        // Of each mesh the body could; planes are flat. Where work is counted, all are prepared before the first ray.
+        let prepared = if count_cost { 2 } else { 1 };
+        assert_eq!((occluders.objects, occluders.prepared, occluders.generators), (2, prepared, prepared));
         assert!(occluders.boxes > 10, "{occluders:?}");
+    }
+}
+
+#[test]
+fn work_counted_depends_on_neither_threads_nor_shards() {
+    for mut scene in [scene(1.0), crowd()] {
+        // Several tiles, so that threads and shards share them.
+        scene.settings = Settings { width: 90, height: 70, spp: 1, shadow_samples: 4, ..scene.settings };
+        let occluders = Occluders::of_scene(&scene, &mut |_| true).unwrap();
+        for &method in ShadowMethod::ALL {
+            scene.settings.shadows = method.to_string();
+            let picture = |threads, shard| {
+                let options = RenderOptions::default().with_count_cost(true).with_shard(shard);
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let rendered = pool.install(|| render(&scene, &occluders, &options, &mut |_| true))?;
+                Ok::<Vec<u32>, RenderError>(
+                    rendered.film.require("cost").unwrap().values().iter().map(|v| v.to_bits()).collect(),
+                )
+            };
+            let whole = match picture(1, ShardSpec::WHOLE) {
+                Err(RenderError::Query(QueryError::Unsupported { .. })) if scene.instances.len() > 1 => continue,
+                whole => whole.unwrap(),
+            };
+            assert!(whole.iter().any(|&bits| bits != 0));
+            for _ in 0..3 {
+                assert!(picture(3, ShardSpec::WHOLE).unwrap() == whole, "{method} with three threads");
+            }
+            let grid = TileGrid::new(scene.settings.width, scene.settings.height, TILE).unwrap();
+            for shard in [ShardSpec::new(1, 2).unwrap(), ShardSpec::new(2, 2).unwrap()] {
+                let part = picture(2, shard).unwrap();
+                for tile in shard.tiles(&grid).unwrap().map(|index| grid.tile(index)) {
+                    for (x, y) in (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y))) {
+                        let pixel = (y * scene.settings.width + x) as usize;
+                        assert_eq!(part[pixel], whole[pixel], "{method}, shard {shard}, pixel {x} {y}");
+                    }
+                }
+            }
+        }
     }
 }

@@ -1,6 +1,9 @@
 //! Methods `kd` and `kd-volumetric`: rays through a kd-tree, whose opaque cells inside solids may end them. Exact.
 
-use super::{Engine, LightRay, Report, one_mesh};
+use super::{
+    Engine, LightRay, Report, one_mesh,
+    tile::{Remembers, Tile},
+};
 use crate::{Occluders, QueryError, ShadowMethod};
 use std::sync::{Arc, Mutex};
 use umbrage_accel::{Counters, kdtree::Order};
@@ -14,8 +17,7 @@ pub(super) struct Kd {
     method: ShadowMethod,
     query: Query,
     tree: Arc<KdVolumetric>,
-    /// What threads keep between calls.
-    scratch: Mutex<Vec<Scratch>>,
+    memories: Mutex<Vec<Scratch>>,
 }
 
 /// How rays of `method` walk.
@@ -38,7 +40,7 @@ impl Kd {
         progress: Report<'_>,
     ) -> Result<Self, QueryError> {
         let tree = one_mesh(method.name(), occluders.kd_tree(progress)?)?;
-        Ok(Self { method, query: query(method), tree, scratch: Mutex::default() })
+        Ok(Self { method, query: query(method), tree, memories: Mutex::default() })
     }
 }
 
@@ -71,6 +73,10 @@ impl Engine for Kd {
         self.method.name()
     }
 
+    fn for_tile(&self, counted: bool) -> Option<Box<dyn Engine + '_>> {
+        Some(Box::new(Tile::new(self, counted)))
+    }
+
     fn transmittances(
         &self,
         rays: &[LightRay],
@@ -78,20 +84,43 @@ impl Engine for Kd {
         passed: &mut [f32],
         counters: Option<&mut Counters>,
     ) -> Result<(), QueryError> {
-        let kept = || self.scratch.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let mut scratch = kept().pop().unwrap_or_default();
+        Tile::new(self, counters.is_some()).transmittances(rays, light, passed, counters)
+    }
+}
+
+impl Remembers for Kd {
+    type Memory = Scratch;
+
+    fn name(&self) -> &'static str {
+        self.method.name()
+    }
+
+    fn memories(&self) -> &Mutex<Vec<Scratch>> {
+        &self.memories
+    }
+
+    fn fresh(&self) -> Scratch {
+        Scratch::default()
+    }
+
+    fn trace(
+        &self,
+        rays: &[LightRay],
+        light: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+        scratch: &mut Scratch,
+    ) {
         let query = self.query.with_light(light);
         let mut counted = volumetric::Counters::default();
         match counters {
             Some(counters) => {
-                in_packets(&self.tree, rays, &query, &mut scratch, passed, &mut counted);
+                in_packets(&self.tree, rays, &query, scratch, passed, &mut counted);
                 counters.nodes += counted.kd.steps;
                 counters.box_tests += counted.box_tests;
                 counters.triangle_tests += counted.kd.triangle_tests;
             }
-            None => in_packets(&self.tree, rays, &query, &mut scratch, passed, &mut ()),
+            None => in_packets(&self.tree, rays, &query, scratch, passed, &mut ()),
         }
-        kept().push(scratch);
-        Ok(())
     }
 }

@@ -12,6 +12,7 @@ mod prefilter;
 mod rays;
 mod solid;
 mod surface;
+mod tile;
 
 use super::{AoMethod, Occluders, QueryError, SceneKind, ShadowMethod, View};
 use umbrage_accel::Counters;
@@ -133,6 +134,17 @@ pub trait Engine: Sync {
 
     /// The rays that receivers have, by engines that answer receivers.
     fn pattern(&self) -> Option<&Pattern> {
+        None
+    }
+
+    /// Makes now what rays would otherwise make when they come near. The work of a ray then does not depend on the rays of other
+    /// threads.
+    fn prepare_all(&self) {}
+
+    /// The engine for the rays of one tile, one after the other, if it remembers something from ray to ray. With `counted` it
+    /// starts with an empty memory, so that the work counted depends on the tile alone.
+    fn for_tile(&self, counted: bool) -> Option<Box<dyn Engine + '_>> {
+        let _ = counted;
         None
     }
 

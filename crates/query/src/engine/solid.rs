@@ -2,7 +2,10 @@
 //!
 //! Each object gets its boxes when the first ray comes near it (Djeu11, section 4.8.5); instances share those of their mesh.
 
-use super::{Engine, LightRay, one_mesh};
+use super::{
+    Engine, LightRay, one_mesh,
+    tile::{Remembers, Tile},
+};
 use crate::{Occluders, QueryError, ShadowMethod, Structure, occluders::solids};
 use std::sync::{Arc, Mutex};
 use umbrage_accel::{Bvh, Counters};
@@ -19,27 +22,17 @@ pub(super) enum Solid<'a> {
 
 pub(super) struct OneMesh<'a> {
     solid: Box<LazySolidBvh<'a>>,
-    /// What threads keep between calls.
-    scratch: Mutex<Vec<LazyScratch>>,
+    memories: Mutex<Vec<LazyScratch>>,
 }
 
 pub(super) struct Instances<'a> {
     solid: SolidInstances<'a>,
-    /// What threads keep between calls.
-    scratch: Mutex<Vec<SolidInstancesScratch>>,
+    memories: Mutex<Vec<SolidInstancesScratch>>,
 }
 
 fn lazy<'a>(bvh: &Arc<Bvh>, mesh: &'a TriangleMesh) -> LazySolidBvh<'a> {
     let options = SolidBvhOptions::default();
     LazySolidBvh::new(bvh.clone(), &mesh.positions, &mesh.triangles, &solids(mesh), &options)
-}
-
-fn take<T>(kept: &Mutex<Vec<T>>) -> Option<T> {
-    kept.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop()
-}
-
-fn give<T>(kept: &Mutex<Vec<T>>, scratch: T) {
-    kept.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(scratch);
 }
 
 fn fraction(blocked: bool) -> f32 {
@@ -52,11 +45,11 @@ impl<'a> Solid<'a> {
         if let Some(top) = occluders.instances() {
             let meshes = top.bvhs().iter().zip(occluders.meshes());
             let solid = SolidInstances::new(top, meshes.map(|(bvh, mesh)| lazy(bvh, mesh)).collect());
-            return Ok(Self::Instances(Instances { solid, scratch: Mutex::default() }));
+            return Ok(Self::Instances(Instances { solid, memories: Mutex::default() }));
         }
         let name = ShadowMethod::BvhVolumetric.name();
         let (bvh, mesh) = one_mesh(name, occluders.flat_opaque())?;
-        Ok(Self::OneMesh(OneMesh { solid: Box::new(lazy(bvh, mesh)), scratch: Mutex::default() }))
+        Ok(Self::OneMesh(OneMesh { solid: Box::new(lazy(bvh, mesh)), memories: Mutex::default() }))
     }
 
     /// With all boxes made, for occluders whose shadow `rays` are expected to gain by them.
@@ -69,7 +62,7 @@ impl<'a> Solid<'a> {
         let own_bytes = solid.bytes().saturating_sub(bvh.bytes());
         occluders.note(Structure::SolidBoxes, Some(start.elapsed()), Some(own_bytes));
         let solid = Box::new(LazySolidBvh::ready(solid));
-        Some(Self::OneMesh(OneMesh { solid, scratch: Mutex::default() }))
+        Some(Self::OneMesh(OneMesh { solid, memories: Mutex::default() }))
     }
 }
 
@@ -85,6 +78,20 @@ impl Engine for Solid<'_> {
         })
     }
 
+    fn prepare_all(&self) {
+        match self {
+            Self::OneMesh(part) => part.solid.prepare_all(),
+            Self::Instances(part) => part.solid.prepare_all(),
+        }
+    }
+
+    fn for_tile(&self, counted: bool) -> Option<Box<dyn Engine + '_>> {
+        Some(match self {
+            Self::OneMesh(part) => Box::new(Tile::new(part, counted)),
+            Self::Instances(part) => Box::new(Tile::new(part, counted)),
+        })
+    }
+
     fn transmittances(
         &self,
         rays: &[LightRay],
@@ -93,56 +100,90 @@ impl Engine for Solid<'_> {
         counters: Option<&mut Counters>,
     ) -> Result<(), QueryError> {
         match self {
-            Self::OneMesh(part) => part.transmittances(rays, light, passed, counters),
-            Self::Instances(part) => part.transmittances(rays, passed, counters),
+            Self::OneMesh(part) => {
+                Tile::new(part, counters.is_some()).transmittances(rays, light, passed, counters)
+            }
+            Self::Instances(part) => {
+                Tile::new(part, counters.is_some()).transmittances(rays, light, passed, counters)
+            }
         }
-        Ok(())
     }
 }
 
-impl OneMesh<'_> {
-    fn transmittances(
+impl Remembers for OneMesh<'_> {
+    type Memory = LazyScratch;
+
+    fn name(&self) -> &'static str {
+        ShadowMethod::BvhVolumetric.name()
+    }
+
+    fn memories(&self) -> &Mutex<Vec<LazyScratch>> {
+        &self.memories
+    }
+
+    fn fresh(&self) -> LazyScratch {
+        self.solid.scratch()
+    }
+
+    fn trace(
         &self,
         rays: &[LightRay],
         light: Option<usize>,
         passed: &mut [f32],
         counters: Option<&mut Counters>,
+        scratch: &mut LazyScratch,
     ) {
         let solid = &self.solid;
-        let mut scratch = take(&self.scratch).unwrap_or_else(|| solid.scratch());
         if let Some(counters) = counters {
             let mut counted = SolidCounters::default();
             for (to_light, out) in rays.iter().zip(passed) {
                 let ray = &to_light.ray;
-                let hit = solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, &mut counted);
-                *out = fraction(hit);
+                *out = fraction(solid.any_hit_counted(ray, Ends::Unknown, light, scratch, &mut counted));
             }
             *counters += counted.walk;
         } else {
             let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
             let mut hits = vec![false; rays.len()];
-            solid.any_hits(&rays, &mut hits, Ends::Unknown, light, &mut scratch);
+            solid.any_hits(&rays, &mut hits, Ends::Unknown, light, scratch);
             hits.iter().zip(passed).for_each(|(&hit, out)| *out = fraction(hit));
         }
-        give(&self.scratch, scratch);
     }
 }
 
-impl Instances<'_> {
-    fn transmittances(&self, rays: &[LightRay], passed: &mut [f32], counters: Option<&mut Counters>) {
+impl Remembers for Instances<'_> {
+    type Memory = SolidInstancesScratch;
+
+    fn name(&self) -> &'static str {
+        ShadowMethod::BvhVolumetric.name()
+    }
+
+    fn memories(&self) -> &Mutex<Vec<SolidInstancesScratch>> {
+        &self.memories
+    }
+
+    fn fresh(&self) -> SolidInstancesScratch {
+        self.solid.scratch()
+    }
+
+    fn trace(
+        &self,
+        rays: &[LightRay],
+        _: Option<usize>,
+        passed: &mut [f32],
+        counters: Option<&mut Counters>,
+        scratch: &mut SolidInstancesScratch,
+    ) {
         let solid = &self.solid;
-        let mut scratch = take(&self.scratch).unwrap_or_else(|| solid.scratch());
         let mut counted = SolidCounters::default();
         for (to_light, out) in rays.iter().zip(passed) {
             let hit = match counters {
-                Some(_) => solid.any_hit_counted(&to_light.ray, &mut scratch, &mut counted),
-                None => solid.any_hit(&to_light.ray, &mut scratch),
+                Some(_) => solid.any_hit_counted(&to_light.ray, scratch, &mut counted),
+                None => solid.any_hit(&to_light.ray, scratch),
             };
             *out = fraction(hit);
         }
         if let Some(counters) = counters {
             *counters += counted.walk;
         }
-        give(&self.scratch, scratch);
     }
 }

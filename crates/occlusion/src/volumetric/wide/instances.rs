@@ -63,6 +63,11 @@ impl<'a> SolidInstances<'a> {
         self.top.any_hit_among(ray, &mut entered, stats)
     }
 
+    /// [`LazySolidBvh::prepare_all`] of all meshes.
+    pub fn prepare_all(&self) {
+        self.meshes.iter().for_each(LazySolidBvh::prepare_all);
+    }
+
     /// How much was prepared so far, over all meshes.
     pub fn prepared(&self) -> Prepared {
         let mut sum = Prepared::default();

@@ -1,7 +1,8 @@
 //! Boxes inside of an object when the first ray comes near it (Djeu11, section 4.8.5).
 //!
 //! Here: when objects are prepared, and how what was prepared reaches all threads. Not here: what is prepared, and queries
-//! (`mod.rs`). Answers are exact with any boxes, so who prepares what when changes none.
+//! (`mod.rs`). Answers are exact with any boxes, so who prepares what when changes none. The work that rays take does depend on
+//! it, unless everything is prepared first ([`LazySolidBvh::prepare_all`]).
 
 use super::{Carved, SolidBvh, SolidBvhOptions, SolidCounters, SolidScratch};
 use crate::volumetric::{Ends, Object, Solids};
@@ -189,6 +190,27 @@ impl<'a> LazySolidBvh<'a> {
         scratch.current.any_hit_counted(ray, ends, light, &mut scratch.solid, counters)
     }
 
+    /// Prepares all objects and puts their boxes into use, so that the work of a ray does not depend on which rays came before it
+    /// on other threads.
+    pub fn prepare_all(&self) {
+        let prepare = |candidate: &Candidate| {
+            if !candidate.claimed.swap(true, Ordering::Relaxed) {
+                self.claims.fetch_add(1, Ordering::AcqRel);
+                let carved = candidate.carved.get_or_init(|| self.carve(candidate));
+                self.ready.fetch_add(carved.solids.len(), Ordering::AcqRel);
+            }
+        };
+        #[cfg(feature = "rayon")]
+        {
+            use rayon::prelude::*;
+            self.candidates.par_iter().for_each(prepare);
+        }
+        #[cfg(not(feature = "rayon"))]
+        self.candidates.iter().for_each(prepare);
+        let _guard = locked(&self.publishing);
+        self.publish();
+    }
+
     /// How much was prepared so far.
     pub fn prepared(&self) -> Prepared {
         let ready = || self.candidates.iter().filter_map(|candidate| candidate.carved.get());
@@ -274,6 +296,11 @@ impl<'a> LazySolidBvh<'a> {
         }
         // One thread does it, and others go on with what they have.
         let Ok(_guard) = self.publishing.try_lock() else { return };
+        self.publish();
+    }
+
+    /// Puts all boxes that are ready into use. The caller holds [`Self::publishing`].
+    fn publish(&self) {
         let mut all = Carved::default();
         self.candidates.iter().filter_map(|candidate| candidate.carved.get()).for_each(|c| all.append(c));
         if all.solids.len() == self.published.load(Ordering::Acquire) {
