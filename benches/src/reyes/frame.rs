@@ -113,6 +113,7 @@ pub struct Frame {
     pub image: Vec<f32>,
     pub seconds: f64,
     /// Of these, the casting of camera rays and of shadow rays, without what makes the rays. Not of rates by ray.
+    #[cfg_attr(not(feature = "embree"), allow(dead_code))] // only compared with a peer
     pub traced_s: [f64; 2],
     pub build_s: f64,
     pub rays: usize,

@@ -1,7 +1,7 @@
 //! Methods that end rays inside of solids change no picture.
 
 use umbrage_geom::{MeshObject, TriangleMesh, glam::Affine3A};
-use umbrage_image::{ShardSpec, TileGrid};
+use umbrage_image::{Shard, TileGrid};
 use umbrage_query::{Exactness, Occluders, QueryError, ShadowMethod};
 use umbrage_render::{RenderError, RenderOptions, TILE, render};
 use umbrage_scene::{
@@ -164,16 +164,16 @@ fn work_counted_depends_on_neither_threads_nor_shards() {
                     rendered.film.require("cost").unwrap().values().iter().map(|v| v.to_bits()).collect(),
                 )
             };
-            let whole = match picture(1, ShardSpec::WHOLE) {
+            let whole = match picture(1, Shard::WHOLE) {
                 Err(RenderError::Query(QueryError::Unsupported { .. })) if scene.instances.len() > 1 => continue,
                 whole => whole.unwrap(),
             };
             assert!(whole.iter().any(|&bits| bits != 0));
             for _ in 0..3 {
-                assert!(picture(3, ShardSpec::WHOLE).unwrap() == whole, "{method} with three threads");
+                assert!(picture(3, Shard::WHOLE).unwrap() == whole, "{method} with three threads");
             }
             let grid = TileGrid::new(scene.settings.width, scene.settings.height, TILE).unwrap();
-            for shard in [ShardSpec::new(1, 2).unwrap(), ShardSpec::new(2, 2).unwrap()] {
+            for shard in [Shard::new(1, 2).unwrap(), Shard::new(2, 2).unwrap()] {
                 let part = picture(2, shard).unwrap();
                 for tile in shard.tiles(&grid).unwrap().map(|index| grid.tile(index)) {
                     for (x, y) in (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y))) {

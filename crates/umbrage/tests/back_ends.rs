@@ -46,7 +46,7 @@ intensity = 30
 "#;
 
 const LEAVES: &str = r#"[[objects]]
-mesh = { generator = "bush", triangles = 600 }
+mesh = { generator = "bush", triangles = 1000 }
 material = "leaf"
 translate = [1, 0, 0]"#;
 

@@ -66,7 +66,7 @@ impl Folder {
         let comparison: serde_json::Value = serde_json::from_str(&text).unwrap();
         let layers = comparison["layers"].as_array().unwrap();
         ["beauty", "shadow", "ao"].map(|name| {
-            let layer = layers.iter().find(|layer| layer["name"] == name).unwrap();
+            let layer = layers.iter().find(|layer| layer["layer"] == name).unwrap();
             layer["rmse"].as_f64().unwrap()
         })
     }
