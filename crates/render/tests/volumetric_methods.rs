@@ -165,7 +165,9 @@ fn work_counted_depends_on_neither_threads_nor_shards() {
                 )
             };
             let whole = match picture(1, Shard::WHOLE) {
-                Err(RenderError::Query(QueryError::Unsupported { .. })) if scene.instances.len() > 1 => continue,
+                Err(RenderError::Query(QueryError::Unsupported { .. })) if scene.instances.len() > 1 => {
+                    continue;
+                }
                 whole => whole.unwrap(),
             };
             assert!(whole.iter().any(|&bits| bits != 0));
@@ -176,7 +178,8 @@ fn work_counted_depends_on_neither_threads_nor_shards() {
             for shard in [Shard::new(1, 2).unwrap(), Shard::new(2, 2).unwrap()] {
                 let part = picture(2, shard).unwrap();
                 for tile in shard.tiles(&grid).unwrap().map(|index| grid.tile(index)) {
-                    for (x, y) in (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y))) {
+                    for (x, y) in (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y)))
+                    {
                         let pixel = (y * scene.settings.width + x) as usize;
                         assert_eq!(part[pixel], whole[pixel], "{method}, shard {shard}, pixel {x} {y}");
                     }

@@ -36,8 +36,9 @@ use umbrage_geom::{
 
 /// Different turns and tilts; a receiver's seed chooses one.
 const JITTERS: u32 = 1024;
-/// Distance between the turns of successive samples of one receiver, in units of one jitter: the golden section, and odd.
-const JITTER_STRIDE: u32 = 633;
+/// Distance between the turns of successive samples of one receiver, in units of one jitter: odd, and unlike the golden angle of the
+/// rings, with which turns would repeat the azimuths of neighbouring rings.
+const JITTER_STRIDE: u32 = 583;
 
 /// Rays that stay together in every split of the order.
 const UNIT: usize = 32;
