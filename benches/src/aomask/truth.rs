@@ -21,7 +21,7 @@ use umbrage_aomask::{
 use umbrage_geom::{
     Falloff, TriangleMesh,
     glam::{Vec2, Vec3},
-    sampling::{RandomStream, concentric_disc, sobol_2d},
+    sampling::{RandomStream, combine, concentric_disc, sobol_2d},
 };
 use umbrage_query::{
     Answers, AoMethod, Engine, Ground, Occluders, Sky,
@@ -159,11 +159,15 @@ fn random_points(mesh: &TriangleMesh, count: usize) -> (Vec<[f32; 3]>, Vec<[f32;
     (list(points), list(normals))
 }
 
+/// Seeds of receivers over which biases are averaged, so that noise of single answers doesn't hide them.
+const BIAS_SEEDS: u32 = 8;
+
 /// A method with a number of rays, its answers.
 struct Asked<'a> {
     name: &'static str,
     rays: u32,
     case: &'a Case,
+    receivers: Vec<Receiver>,
     engine: Box<dyn Engine + 'a>,
     pattern: Pattern,
     ao: Vec<f32>,
@@ -173,7 +177,7 @@ struct Asked<'a> {
 impl Asked<'_> {
     /// Answers of an engine that answers rays.
     fn by_rays(&mut self) {
-        let Self { case, engine, pattern, ao, .. } = self;
+        let Self { case, receivers, engine, pattern, ao, .. } = self;
         let radius = case.length();
         let block = |(receivers, ao): (&[Receiver], &mut [f32])| {
             let (mut rays, mut passed) = (Vec::new(), Vec::new());
@@ -188,7 +192,22 @@ impl Asked<'_> {
                 *ao = (passed.iter().map(|&x| f64::from(x)).sum::<f64>() / rays.len() as f64) as f32;
             }
         };
-        case.receivers.par_chunks(64).zip(ao.par_chunks_mut(64)).for_each(block);
+        receivers.par_chunks(64).zip(ao.par_chunks_mut(64)).for_each(block);
+    }
+
+    /// Mean bias over seeds of the receivers, and its standard error by their spread.
+    fn mean_bias(&mut self) -> (f64, f64) {
+        let mut biases = Vec::new();
+        for seed in 0..BIAS_SEEDS {
+            let reseeded = |r: &Receiver| r.with_seed(combine(r.seed(), seed));
+            self.receivers = self.case.receivers.iter().map(reseeded).collect();
+            self.run();
+            biases.push(self.case.reference.bias(self.ao.iter().map(|&x| f64::from(x))));
+        }
+        let n = f64::from(BIAS_SEEDS);
+        let mean = biases.iter().sum::<f64>() / n;
+        let spread = biases.iter().map(|b| (b - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        (mean, (spread / n).sqrt())
     }
 }
 
@@ -197,9 +216,9 @@ impl Timed for Asked<'_> {
         if self.engine.answers() == Answers::Rays {
             return self.by_rays();
         }
-        let Self { case, engine, ao, spent, .. } = self;
+        let Self { receivers, engine, ao, spent, .. } = self;
         let outputs = Outputs::new(ao);
-        *spent = engine.sky(&case.receivers, outputs, &mut |_| true).expect("it answers receivers");
+        *spent = engine.sky(receivers, outputs, &mut |_| true).expect("it answers receivers");
     }
 }
 
@@ -222,18 +241,24 @@ pub fn truth(options: &Options, output: &mut Output) -> Result<()> {
                 let engine = engine::sky(method, &case.occluders, &sky, &mut |_| true)?;
                 let pattern = Pattern::new(&options)?;
                 let ao = vec![0.0; case.receivers.len()];
-                Ok(Asked { name, rays, case, engine, pattern, ao, spent: Spent::default() })
+                let receivers = case.receivers.clone();
+                Ok(Asked { name, rays, case, receivers, engine, pattern, ao, spent: Spent::default() })
             };
             let mut runs = methods.into_iter().map(asked).collect::<Result<Vec<_>>>()?;
             let mut timed: Vec<&mut dyn Timed> = runs.iter_mut().map(|run| run as &mut dyn Timed).collect();
             let times = alternate(sizes(options).2, &mut timed);
-            for (run, own) in runs.iter().zip(&times) {
+            for (run, own) in runs.iter_mut().zip(&times) {
                 let mut params = case.params("truth");
                 params["rays"] = json!(run.rays);
                 let mut row = case.row(run.name, params, &run.ao);
                 row.time_s = median(own);
                 row.mrays_s = (case.receivers.len() * run.rays as usize) as f64 / row.time_s * 1e-6;
                 row.speedup = paired_speedup(&times[0], own);
+                let (bias, error) = run.mean_bias();
+                row.bias = bias;
+                row.counters["bias_seeds"] = json!(BIAS_SEEDS);
+                row.counters["bias_standard_error"] =
+                    json!(error.hypot(case.reference.standard_error_of_mean()));
                 output.row(&row)?;
                 let point = [row.rmse, row.time_s];
                 match curves.iter_mut().find(|(name, _)| *name == run.name) {
@@ -281,7 +306,8 @@ pub fn target_error(options: &Options, output: &mut Output) -> Result<()> {
             let sky = Sky::new(pattern.clone(), case.length()).with_target_error(Some(target));
             let engine = engine::sky(AoMethod::Mask, &case.occluders, &sky, &mut |_| true)?;
             let (ao, pattern) = (vec![0.0; case.receivers.len()], Pattern::new(&pattern)?);
-            let mut run = Asked { name: "mask", rays: 0, case, engine, pattern, ao, spent: Spent::default() };
+            let (receivers, spent) = (case.receivers.clone(), Spent::default());
+            let mut run = Asked { name: "mask", rays: 0, case, receivers, engine, pattern, ao, spent };
             let times = alternate(1, &mut [&mut run]);
             let mut params = case.params("target-error");
             params["target"] = json!((f64::from(target) * 1e4).round() / 1e4);

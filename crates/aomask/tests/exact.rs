@@ -6,7 +6,7 @@ use common::{Scene, exact, from_mesh, pattern, receivers, scene, soup};
 use proptest::prelude::*;
 use umbrage_accel::brute;
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Sides,
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, Sides,
     exact::{self as masks, fans},
 };
 use umbrage_geom::{Falloff, OpticalDepth, Ray, TriangleMesh, glam::Vec3, sampling::RandomStream};
@@ -38,6 +38,76 @@ fn check(scene: &Scene, pattern: &Pattern, points: &common::Points, options: &Ma
     let expected = exact(scene, pattern, points, options);
     for back_end in supported() {
         assert!(answer(scene, pattern, points, options, back_end) == expected, "{back_end:?} {options:?}");
+    }
+}
+
+#[test]
+fn a_low_wall_hides_what_analysis_says_for_every_number_of_rays() {
+    // A wall 0.2 high at distance 1, endless for receivers beside it: half of what is below atan(0.2) in its direction.
+    let wall = [[1.0, 0.0, -2e4], [1.0, 0.0, 2e4], [1.0, 0.2, 2e4], [1.0, 0.2, -2e4]];
+    let scene = soup(&[[wall[0], wall[1], wall[2]], [wall[0], wall[2], wall[3]]]);
+    let hidden = 0.5 * (1.0 - 1.0 / 1.04f64.sqrt());
+    let count = 4000;
+    let points: common::Points = (0..count).map(|i| ([0.0, 0.0, i as f32 * 0.01], [0.0, 1.0, 0.0])).unzip();
+    for rays in [8u32, 32, 64, 256, 1024] {
+        let (pattern, mut ao) = (pattern(rays, Falloff::Constant), vec![0.0; count]);
+        let (options, best) = (MaskOptions::default(), BackEnd::best());
+        let outputs = Outputs::new(&mut ao);
+        masks::answer(&scene.bvh, &pattern, &points.0, &points.1, &options, best, outputs, &mut |_| true)
+            .unwrap();
+        let mean = ao.iter().map(|&x| f64::from(x)).sum::<f64>() / count as f64;
+        // At most the error of independent rays.
+        let error = (hidden * (1.0 - hidden) / f64::from(rays) / count as f64).sqrt();
+        assert!((mean - (1.0 - hidden)).abs() < 4.0 * error, "{rays} rays: {mean}, {error}");
+    }
+}
+
+#[test]
+fn rays_above_a_face_have_the_bits_of_single_rays() {
+    let scene = scene("city", 20_000);
+    let (points, normals) = receivers(&scene.mesh, 60, 11);
+    let mut random = RandomStream::new(3, 3);
+    // Shading normals lean away from the faces; one is the face's own.
+    let asked: Vec<Receiver> = (0..60)
+        .map(|i| {
+            let face = Vec3::from(normals[i]);
+            let lean = Vec3::from_array(std::array::from_fn(|_| random.next_unit() - 0.5));
+            let normal = if i == 0 { face } else { (face + lean).normalize() };
+            Receiver::new(i, points[i], normal.to_array(), i as u32).unwrap().with_face(normals[i])
+        })
+        .collect();
+    assert!(asked[0].face().is_none() && asked[1].face().is_some());
+    for rays in [32, 288, 1024] {
+        for falloff in [Falloff::Constant, Falloff::Linear] {
+            let pattern = pattern(rays, falloff);
+            let options = MaskOptions::default().with_radius(0.2 * scene.mesh.bounds().diagonal());
+            let words = pattern.words();
+            let mut expected = vec![0u64; asked.len() * words];
+            let mut free = Vec::new();
+            for (i, receiver) in asked.iter().enumerate() {
+                let mut sum = Vec3::ZERO;
+                for (k, ray) in pattern.rays_of(receiver, options.radius).enumerate() {
+                    let face = receiver.face().unwrap_or(receiver.normal());
+                    assert!(ray.direction.dot(face) > 4e-4, "below the face");
+                    let hit = scene.bvh.any_hit(&ray);
+                    expected[i * words + k / 64] |= u64::from(hit) << (k % 64);
+                    sum += ray.direction * f32::from(u8::from(!hit));
+                }
+                free.push(sum / rays as f32);
+            }
+            for back_end in supported() {
+                let (mut ao, mut out) = (vec![0.0; asked.len()], vec![0; expected.len()]);
+                let mut directions = vec![[0.0; 3]; asked.len()];
+                let outputs =
+                    Outputs::new(&mut ao).with_masks(&mut out).with_free_directions(&mut directions);
+                let (bvh, silent) = (&scene.bvh, &mut |_| true);
+                masks::answer_receivers(bvh, &pattern, &asked, &options, back_end, outputs, silent).unwrap();
+                assert!(out == expected, "{rays} {back_end:?}");
+                for (ours, expected) in directions.into_iter().zip(&free) {
+                    assert!(Vec3::from(ours).distance(*expected) < 1e-4);
+                }
+            }
+        }
     }
 }
 
