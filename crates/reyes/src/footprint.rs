@@ -94,7 +94,8 @@ impl Width {
         }
     }
 
-    /// The smallest width between two parameters: at entry if the ray diverges, at exit if it converges, or between.
+    /// The smallest width between two parameters: at entry if the ray diverges, at exit if it converges, or between; NaN for a
+    /// NaN differential.
     pub(crate) fn least(&self, from: f64, to: f64) -> f64 {
         let mut least = f64::INFINITY;
         for [a, b, c] in self.squares {

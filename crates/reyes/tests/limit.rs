@@ -145,6 +145,19 @@ fn limit_points_obey_the_rules_of_the_mesh() {
     assert!(at(&chaikin, 10).distance(at(&uniform, 10)) > 1e-4, "{}", at(&chaikin, 10));
 }
 
+/// A ridge of height 1 in the plane, of sharpness 1 on one side of its middle and 2 on the other. By hand: after a level, at
+/// which it stays, sharpness is 0 and 1, or, by Chaikin's method, 0.25 and 0.75, whose blend is half a crease's.
+#[test]
+fn sharpness_decays_as_calculated_by_hand() {
+    let mut ridge = sheet(4, |_, j| if j == 2 { 1.0 } else { 0.0 });
+    ridge.creases = vec![([11, 12], 1.0), ([12, 13], 2.0)];
+    for (crease_method, height) in [(CreaseMethod::Uniform, 61.0 / 72.0), (CreaseMethod::Chaikin, 0.875)] {
+        let surface = build(&PolygonMesh { crease_method, ..ridge.clone() });
+        let middle = surface.limit(10, 0.0, 0.0).position;
+        assert!(middle.abs_diff_eq(Vec3::new(2.0, 2.0, height), 1e-6), "{crease_method:?}: {middle}");
+    }
+}
+
 /// What is around a vertex doesn't need the rest of the mesh.
 #[test]
 fn vertices_need_only_what_is_around_them() {
