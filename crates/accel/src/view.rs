@@ -56,11 +56,6 @@ impl Bvh {
     pub fn set_note(&mut self, node: u32, note: Note) {
         self.tree.nodes[node as usize].note = note;
     }
-
-    /// The triangles of each leaf.
-    pub fn leaf_blocks(&self) -> &[TriangleBlock] {
-        &self.blocks
-    }
 }
 
 impl<'a> View<'a> {

@@ -72,15 +72,6 @@ impl Layer {
         &self.values[index * n..][..n]
     }
 
-    /// Channels of pixel `index`, to be changed.
-    ///
-    /// # Panics
-    /// If `index` is out of range.
-    pub fn pixel_mut(&mut self, index: usize) -> &mut [f32] {
-        let n = self.channels.len();
-        &mut self.values[index * n..][..n]
-    }
-
     /// Position of the channel called `name`.
     pub fn channel(&self, name: &str) -> Option<usize> {
         self.channels.iter().position(|c| c == name)
