@@ -2,7 +2,7 @@
 
 use std::{fs, path::PathBuf, process::Command};
 use tempfile::TempDir;
-use umbrage::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, View};
+use umbrage::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, SurfaceMode, View};
 use umbrage::scene::Scene;
 
 const VIEW: &str = r#"
@@ -159,6 +159,9 @@ fn the_help_lists_every_method_with_its_summary() {
     for &method in ShadowMethod::ALL {
         assert!(render.contains(&format!("- {method}: {}", method.summary())), "{method}: {render}");
     }
+    for &mode in SurfaceMode::ALL {
+        assert!(render.contains(&format!("- {mode}: {}", mode.summary())), "{mode}: {render}");
+    }
     for &method in AoMethod::ALL {
         for help in [&render, &bake] {
             assert!(help.contains(&format!("- {method}: {}", method.summary())), "{method}: {help}");
@@ -219,6 +222,7 @@ fn the_docs_have_the_tables_of_methods() {
     let text = fs::read_to_string(path).unwrap();
     let expected = with_table(&text, "shadow methods", &table::<ShadowMethod>());
     let expected = with_table(&expected, "ambient occlusion methods", &table::<AoMethod>());
+    let expected = with_table(&expected, "surface modes", &table::<SurfaceMode>());
     if std::env::var_os("UMBRAGE_BLESS").is_some() {
         fs::write(path, &expected).unwrap();
     } else {
