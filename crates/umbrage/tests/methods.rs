@@ -170,6 +170,24 @@ fn the_help_lists_every_method_with_its_summary() {
 }
 
 #[test]
+fn scene_files_name_methods_that_exist() {
+    let folder = Folder::new();
+    let (_, text) = &scenes()[0];
+    for (key, known) in [("shadows", "bvh-volumetric"), ("ao", "mask-raster"), ("surfaces", "footprint")] {
+        let bad = text.replace("[methods]", &format!("[methods]\n{key} = \"magic\""));
+        fs::write(folder.path("bad.toml"), bad).unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
+            .args(["render", "bad.toml", "-o", "out.png"])
+            .current_dir(folder.0.path())
+            .output()
+            .unwrap();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{key}: {error}");
+        assert!(["bad.toml", "magic", known].iter().all(|word| error.contains(word)), "{key}: {error}");
+    }
+}
+
+#[test]
 fn nothing_answers_where_nothing_is_asked() {
     let folder = Folder::new();
     let (_, text) = &scenes()[0];
