@@ -40,7 +40,7 @@ struct Arguments {
     /// Only scenes whose name contains this.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// Only this part of a suite; anyhit: choices; aomask: targets, mask, fans, prefilter, bits, table1, table2, figure5,
+    /// Only this part of a suite; aomask: targets, mask, fans, prefilter, bits, table1, table2, figure5,
     /// figure6, figure7; prefilter: targets, fig1, rules, tables, fig4, fig5, fig6, fig9, fig10, bias, refit, control, forest;
     /// volumetric: wide, kd.
     #[arg(long, value_name = "NAME")]

@@ -49,7 +49,7 @@ enum Task {
         /// Only scenes whose name contains this.
         #[arg(long, value_name = "TEXT")]
         only: Option<String>,
-        /// Only this part of suite anyhit, aomask, prefilter or volumetric.
+        /// Only this part of suite aomask, prefilter or volumetric.
         #[arg(long, value_name = "NAME")]
         part: Option<String>,
         /// Only figures of suite reyes whose name contains this.

@@ -4,8 +4,6 @@
 //! entry points. Its variants `bvh-scalar` (no SIMD) and `bvh-fast` (the quick build) stand beside it; all are measured
 //! against `bvh`, and `bvh` against each peer asked for.
 
-#[cfg(target_arch = "x86_64")]
-mod choices;
 pub mod measure;
 pub mod ours;
 mod workloads;
@@ -31,7 +29,7 @@ pub struct Options {
     pub threads: usize,
     /// Only scenes whose name contains this.
     pub only: Option<String>,
-    /// `choices`; `None` for everything else.
+    /// Part asked for; the suite has none.
     pub part: Option<String>,
 }
 
@@ -40,11 +38,8 @@ pub struct Options {
 /// # Errors
 /// If there is no such part, or a mesh can't be had.
 pub fn run(options: &Options, output: &mut Output) -> Result<()> {
-    match options.part.as_deref() {
-        None => {}
-        #[cfg(target_arch = "x86_64")]
-        Some("choices") => return choices::run(options.quick, options.only.as_deref(), output),
-        Some(other) => bail!("unknown part '{other}' of suite anyhit, expected choices"),
+    if let Some(part) = &options.part {
+        bail!("unknown part '{part}': suite anyhit has no parts");
     }
     let pool = |threads: usize| ThreadPoolBuilder::new().num_threads(threads).build();
     let one = pool(1)?;

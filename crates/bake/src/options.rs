@@ -14,7 +14,7 @@ pub struct BakeOptions {
     pub method: AoMethod,
     /// Rays from each receiver, 1 to [`BakeOptions::MAX_RAYS`].
     pub rays: u32,
-    /// How far occluders count. A fraction refers to [`Occluders::diagonal`](super::Occluders::diagonal).
+    /// How far occluders count. A fraction refers to [`umbrage_query::Occluders::diagonal`].
     pub radius: Radius,
     /// How occluders fade with distance; anything but constant needs a radius.
     pub falloff: Falloff,

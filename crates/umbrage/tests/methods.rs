@@ -2,7 +2,7 @@
 
 use std::{fs, path::PathBuf, process::Command};
 use tempfile::TempDir;
-use umbrage::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, View};
+use umbrage::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, SurfaceMode, View};
 use umbrage::scene::Scene;
 
 const VIEW: &str = r#"
@@ -159,10 +159,31 @@ fn the_help_lists_every_method_with_its_summary() {
     for &method in ShadowMethod::ALL {
         assert!(render.contains(&format!("- {method}: {}", method.summary())), "{method}: {render}");
     }
+    for &mode in SurfaceMode::ALL {
+        assert!(render.contains(&format!("- {mode}: {}", mode.summary())), "{mode}: {render}");
+    }
     for &method in AoMethod::ALL {
         for help in [&render, &bake] {
             assert!(help.contains(&format!("- {method}: {}", method.summary())), "{method}: {help}");
         }
+    }
+}
+
+#[test]
+fn scene_files_name_methods_that_exist() {
+    let folder = Folder::new();
+    let (_, text) = &scenes()[0];
+    for (key, known) in [("shadows", "bvh-volumetric"), ("ao", "mask-raster"), ("surfaces", "footprint")] {
+        let bad = text.replace("[methods]", &format!("[methods]\n{key} = \"magic\""));
+        fs::write(folder.path("bad.toml"), bad).unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
+            .args(["render", "bad.toml", "-o", "out.png"])
+            .current_dir(folder.0.path())
+            .output()
+            .unwrap();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{key}: {error}");
+        assert!(["bad.toml", "magic", known].iter().all(|word| error.contains(word)), "{key}: {error}");
     }
 }
 
@@ -219,6 +240,7 @@ fn the_docs_have_the_tables_of_methods() {
     let text = fs::read_to_string(path).unwrap();
     let expected = with_table(&text, "shadow methods", &table::<ShadowMethod>());
     let expected = with_table(&expected, "ambient occlusion methods", &table::<AoMethod>());
+    let expected = with_table(&expected, "surface modes", &table::<SurfaceMode>());
     if std::env::var_os("UMBRAGE_BLESS").is_some() {
         fs::write(path, &expected).unwrap();
     } else {

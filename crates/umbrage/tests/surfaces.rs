@@ -85,7 +85,7 @@ fn surfaces_look_like_their_mesh_however_they_are_traced() {
     // Micropolygons of a pixel: what differs are silhouettes and edges of shadows.
     for mode in ["once", "footprint"] {
         let [beauty, shadow, ao] = folder.errors("mesh.exr", &format!("{mode}.exr"));
-        assert!(beauty < 0.05 && shadow < 0.06 && ao < 0.02, "{mode}: {beauty} {shadow} {ao}");
+        assert!(beauty < 0.01 && shadow < 0.01 && ao < 0.03, "{mode}: {beauty} {shadow} {ao}");
         assert!(beauty > 0.0, "{mode} is the mesh");
         let stats = folder.json(&format!("{mode}.json"));
         let surfaces = &stats["surfaces"];

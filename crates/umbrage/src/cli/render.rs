@@ -98,7 +98,7 @@ pub fn run(arguments: &RenderArguments) -> Result<ExitCode> {
             scene
         }
     };
-    check_settings(&scene.settings)?;
+    check_settings(&scene.settings).with_context(|| arguments.scene.display().to_string())?;
     let load_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let pool = thread_pool(arguments.threads)?;
