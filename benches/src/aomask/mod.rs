@@ -66,8 +66,11 @@ pub const PARTS: [&str; 13] = [
     "figure7",
 ];
 
+/// A part with scenes of its own.
+type Run = fn(&Options, &mut Output) -> Result<()>;
+
 /// Parts with scenes of their own, only when asked for.
-const OF_TRUTH: [(&str, fn(&Options, &mut Output) -> Result<()>); 3] =
+const OF_TRUTH: [(&str, Run); 3] =
     [("truth", truth::truth), ("target-error", truth::target_error), ("patterns", truth::patterns)];
 
 /// Numbers of rays and radii, as fractions of the diagonal, of the targets.

@@ -1,4 +1,5 @@
 //! Proofs and shells of x86-64, and vector operations that several crates use.
+#![allow(clippy::missing_safety_doc)] // functions with target features are safe to call where the features are enabled
 
 use super::Job;
 use std::arch::x86_64::*;
