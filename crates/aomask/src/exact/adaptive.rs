@@ -3,7 +3,7 @@
 //! Nothing is taken on trust: the error of a number of rays is *measured*, on pilot receivers, as half the mean squared difference
 //! of two independent answers. All receivers are put into classes by how much two cheap answers of their neighbourhood differ; the
 //! numbers of rays of the classes are those with which the root mean square error over all receivers is expected to be
-//! [`AIM`] times the target in the least rays. The rays that choose a class are not used again, so that the choice brings no bias.
+//! 0.8 times the target in the least rays. The rays that choose a class are not used again, so that the choice brings no bias.
 
 use crate::{MaskError, Outputs, Pattern, PatternOptions, Receiver};
 use umbrage_geom::{morton, sampling::combine};
@@ -22,14 +22,14 @@ const POOL: usize = 8;
 
 /// Pilot receivers: one in so many, within the bounds below.
 const PILOT_STRIDE: usize = 16;
-const FEWEST_PILOTS: usize = 512;
+const FEWEST_PILOTS: usize = 256;
 const MOST_PILOTS: usize = 2048;
 
 /// Classes of neighbourhoods whose cheap answers differ, beside the one where they don't.
 const CLASSES: usize = 5;
 
-/// Where measured errors may stop: below this share of the squared error to reach.
-const ENOUGH: f64 = 0.3;
+/// Where measured errors may stop: at this share of the squared error to reach. Beyond, curves go on as they fell before.
+const ENOUGH: f64 = 1.0;
 
 /// Seeds of the answers that choose classes, and of those that measure errors.
 const SALTS: [u32; 4] = [0x636c_6131, 0x636c_6132, 0x6572_7231, 0x6572_7232];
