@@ -296,8 +296,8 @@ fn cut(pattern: &Pattern, first: usize, len: usize, shapes: &mut Vec<Shape>) {
 /// Ends of the rays of a run.
 #[derive(Clone, Debug)]
 struct Ends {
-    /// In units of scaled directions.
-    far: [f32; RAYS],
+    /// In units of scaled directions, by ray.
+    far: Box<[f32]>,
     /// Bits without a ray, or with a ray too short to walk.
     closed: [u8; GROUPS],
     /// At least the length of any ray, world units.
@@ -306,15 +306,13 @@ struct Ends {
 
 impl Ends {
     /// Of rays with the given lengths, world units.
-    fn new(lengths: impl Iterator<Item = f32>) -> Self {
-        let mut ends = Self { far: [0.0; RAYS], closed: [u8::MAX; GROUPS], reach: 0.0 };
-        for (i, tfar) in lengths.enumerate() {
-            ends.reach = ends.reach.max(tfar);
-            ends.far[i] = tfar * 2.0;
-            let walks = ends.far[i] >= f32::MIN_POSITIVE;
-            ends.closed[i / GROUP] &= !(u8::from(walks) << (i % GROUP));
+    fn new(lengths: impl Iterator<Item = f32> + Clone) -> Self {
+        let far: Box<[f32]> = lengths.clone().map(|tfar| tfar * 2.0).collect();
+        let mut closed = [u8::MAX; GROUPS];
+        for (i, &far) in far.iter().enumerate() {
+            closed[i / GROUP] &= !(u8::from(far >= f32::MIN_POSITIVE) << (i % GROUP));
         }
-        ends
+        Self { far, closed, reach: lengths.fold(0.0, f32::max) }
     }
 }
 
@@ -378,7 +376,7 @@ impl Part<'_> {
     /// What does not change from receiver to receiver, nor, unless [`Self::has_many_ends`], from member to member.
     pub(crate) fn begin(&self, member: usize, rays: &mut RaySet) {
         let (ends, n) = (self.ends(member), self.len());
-        rays.far[..n].copy_from_slice(&ends.far[..n]);
+        rays.far[..n].copy_from_slice(&ends.far);
         rays.unscale[..n].fill(2.0);
         (rays.groups, rays.closed) = (n / GROUP, ends.closed);
     }
