@@ -82,7 +82,8 @@ pub struct BakeArguments {
     /// floats origin, tnear, direction, tfar, then 1 or 0 as an integer. Only for methods with masks.
     #[arg(long, value_name = "FILE")]
     dump_rays: Option<PathBuf>,
-    /// Give each vertex, texel or point as many rays, up to --rays, as this standard error of ao asks for. With --method mask.
+    /// Give vertices, texels or points as many rays, up to --rays, as it takes until the expected root mean square error of ao is 0.8 E.
+    /// With --method mask.
     #[arg(long, value_name = "E")]
     target_error: Option<f32>,
     /// Also write bent normals, the mean directions of free rays. Only for methods with masks.
