@@ -8,6 +8,7 @@ mod bits;
 mod camera;
 mod exact;
 mod fans;
+mod far_bounds;
 mod figures;
 mod fronts;
 mod measure;
@@ -50,7 +51,7 @@ pub struct Options {
 }
 
 /// Parts of the suite.
-pub const PARTS: [&str; 13] = [
+pub const PARTS: [&str; 14] = [
     "truth",
     "target-error",
     "patterns",
@@ -58,6 +59,7 @@ pub const PARTS: [&str; 13] = [
     "mask",
     "fans",
     "prefilter",
+    "far-bounds",
     "bits",
     "table1",
     "table2",
@@ -133,6 +135,10 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     if let Some((_, run)) = OF_TRUTH.into_iter().find(|(part, _)| options.part.as_deref() == Some(part)) {
         run(options, output)?;
         return output.geomeans(&["part", "rays", "radius", "target", "target_rmse", "against"]);
+    }
+    // Scenes of its own too.
+    if options.part.as_deref() == Some("far-bounds") {
+        return far_bounds::rows(options, output);
     }
     let wanted = |part: &str| options.part.as_ref().is_none_or(|p| p == part);
     for name in TARGET_SCENES {

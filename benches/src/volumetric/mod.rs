@@ -1,5 +1,6 @@
 //! Suite `volumetric`: opaque cells inside closed meshes, Djeu11, chapters 3 and 4, and solid boxes in wide hierarchies.
 
+mod ambient;
 mod instances;
 mod methods;
 mod pictures;
@@ -39,8 +40,8 @@ pub struct Options {
     pub pictures: Option<PathBuf>,
 }
 
-/// Parts of the suite: what walks the wide hierarchy, and what walks a kd-tree.
-const PARTS: [&str; 2] = ["wide", "kd"];
+/// Parts of the suite: what walks the wide hierarchy, what walks a kd-tree, and, only when asked for, ambient rays.
+const PARTS: [&str; 3] = ["wide", "kd", "ambient"];
 
 /// Closed meshes under area lights; the rest are generators.
 const SINGLE: [&str; 9] = [
@@ -71,6 +72,9 @@ pub struct Case<'a> {
 pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     if let Some(part) = options.part.as_ref().filter(|part| !PARTS.contains(&part.as_str())) {
         bail!("unknown part '{part}', expected one of {}", PARTS.join(", "));
+    }
+    if options.part.as_deref() == Some("ambient") {
+        return ambient::rows(options, output);
     }
     let mut tables = Tables::default();
     let wanted = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));

@@ -1,6 +1,6 @@
 //! One call that bakes.
 
-use super::{BakeError, BakeOptions, Receivers, integrate, mask};
+use super::{BakeError, BakeOptions, Receivers, integrate, lobes, mask};
 use std::io::Write;
 use umbrage_aomask::exact::adaptive::Spent;
 use umbrage_image::Shard;
@@ -66,7 +66,10 @@ impl<'a> Bake<'a> {
     ) -> Result<Spent, BakeError> {
         let options = self.options;
         options.validate()?;
-        let sky = options.sky(self.occluders.diagonal());
+        let mut sky = options.sky(self.occluders.diagonal());
+        if options.method.wants_pilot() {
+            sky.pilot = lobes::pilot(self.receivers, options)?;
+        }
         let engine = engine::sky(options.method, self.occluders, &sky, &mut |_| progress(0.0))?;
         match engine.answers() {
             Answers::Receivers => mask::bake_receivers(self, &*engine, sky.radius, ao, progress),

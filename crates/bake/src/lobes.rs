@@ -2,7 +2,15 @@
 
 use super::{BakeError, BakeOptions, Receivers, receivers::Lobe};
 use umbrage_aomask::Receiver;
-use umbrage_geom::{glam::Vec3, offset_origin};
+use umbrage_geom::{
+    glam::Vec3,
+    offset_origin,
+    sampling::{combine, unit},
+};
+use umbrage_query::Pilot;
+
+/// Tells the draw of a receiver's lobe apart from its rays.
+const PILOT: u32 = 0x6d61_736b;
 
 /// A lobe of a receiver.
 pub(super) struct Asked {
@@ -36,6 +44,24 @@ pub(super) fn asked(
         }
     }
     Ok(asked)
+}
+
+/// A lobe of each of some receivers, drawn by their shares; the same for every shard.
+///
+/// # Errors
+/// Those of [`asked`].
+pub(super) fn pilot(receivers: &Receivers, options: &BakeOptions) -> Result<Pilot, BakeError> {
+    let some: Vec<u32> = Pilot::indices(receivers.len()).map(|i| i as u32).collect();
+    let draw = |lobes: &[Asked]| {
+        let mut left = unit(combine(lobes[0].receiver.seed(), PILOT));
+        let drawn = lobes.iter().find(|lobe| {
+            left -= lobe.share;
+            left < 0.0
+        });
+        drawn.unwrap_or(&lobes[lobes.len() - 1]).receiver
+    };
+    let asked = asked(receivers, &some, options)?;
+    Ok(Pilot::new(asked.chunk_by(|a, b| a.slot == b.slot).map(draw).collect(), receivers.len()))
 }
 
 /// Means over the lobes of each of `count` receivers; receivers without a direction are open.

@@ -11,6 +11,7 @@ pub mod subdivide;
 
 pub use engine::{Answers, Engine, LightRay, Sky};
 pub use error::QueryError;
+pub use far::Pilot;
 pub use method::{AoMethod, Exactness, Method, Needs, SceneKind, Selection, ShadowMethod, SurfaceMode, View};
 pub use occluders::{Made, Occluders, ShadingPoint, Structure, SurfaceWork};
 pub use umbrage_scene::Ground;

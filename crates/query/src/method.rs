@@ -339,9 +339,9 @@ methods! {
     MaskPrefilter {
         name: "mask-prefilter",
         exactness: Exactness::Approximate(
-            "beyond a distance that sampled points choose, a grid of stored opacity answers instead of triangles."
+            "beyond a distance that a sample of the receivers chooses, a grid of stored opacity answers instead of triangles."
         ),
-        needs: Needs::MASK.and_opaque(),
+        needs: Needs::MASK,
         summary: "Masks for what is near, stored opacity for what is far; for foliage and hair.",
     }
     MaskTable {
@@ -400,6 +400,13 @@ impl SurfaceMode {
     /// [`QueryError::UnknownMethod`].
     pub fn of_scene(scene: &umbrage_scene::Scene) -> Result<Self, QueryError> {
         scene.settings.surfaces.parse()
+    }
+}
+
+impl AoMethod {
+    /// Whether it looks at its errors on a sample of the receivers before it answers ([`super::Sky::pilot`]).
+    pub fn wants_pilot(self) -> bool {
+        self == Self::MaskPrefilter
     }
 }
 

@@ -9,7 +9,7 @@ use umbrage_geom::{
     offset_origin,
     sampling::{combine, concentric_disc, pixel_seed, sobol_2d, sobol_4d, unit},
 };
-use umbrage_query::{Answers, Engine, LightRay, Occluders, QueryError, ShadingPoint};
+use umbrage_query::{Answers, Engine, LightRay, Occluders, Pilot, QueryError, ShadingPoint};
 
 /// Semi-transparent surfaces that a camera ray may pass before it gives up.
 const MOST_LAYERS: u32 = 1000;
@@ -156,11 +156,7 @@ impl<'e> Integrator<'e> {
         let mut uncounted = Scratch::default();
         for (slot, &(x, y)) in pixels.iter().enumerate() {
             for sample in 0..self.spp {
-                let seed = pixel_seed(x, y, self.seed);
-                let receiver = self
-                    .receiver(x, y, sample, &mut uncounted)
-                    .and_then(|(origin, normal)| self.sky_receiver(slot, origin, normal, sample, seed));
-                if let Some(receiver) = receiver {
+                if let Some(receiver) = self.seen_receiver(slot, x, y, sample, &mut uncounted) {
                     receivers.push(receiver);
                     slots.push(slot * self.spp as usize + sample as usize);
                 }
@@ -173,6 +169,31 @@ impl<'e> Integrator<'e> {
         scratch.open.resize(pixels.len() * self.spp as usize, 1.0);
         slots.into_iter().zip(open).for_each(|(slot, open)| scratch.open[slot] = open);
         scratch.slot = 0;
+    }
+
+    /// Who asks about the sky where `sample` of pixel (`x`, `y`) meets a surface.
+    fn seen_receiver(
+        &self,
+        index: usize,
+        x: u32,
+        y: u32,
+        sample: u32,
+        scratch: &mut Scratch,
+    ) -> Option<Receiver> {
+        let (origin, normal) = self.receiver(x, y, sample, scratch)?;
+        self.sky_receiver(index, origin, normal, sample, pixel_seed(x, y, self.seed))
+    }
+
+    /// A sample of those who ask over the whole image of `height` rows, whatever part of it is rendered.
+    pub fn pilot(&self, height: u32) -> Pilot {
+        let mut uncounted = Scratch::default();
+        let (width, spp) = (self.width as usize, self.spp as usize);
+        let of = width * height as usize * spp;
+        let receiver = |index: usize| {
+            let (pixel, sample) = (index / spp, (index % spp) as u32);
+            self.seen_receiver(index, (pixel % width) as u32, (pixel / width) as u32, sample, &mut uncounted)
+        };
+        Pilot::new(Pilot::indices(of).filter_map(receiver).collect(), of)
     }
 
     /// Computes pixel (`x`, `y`).

@@ -167,9 +167,16 @@ pub fn render(
     };
     let settings = &settings;
     let shadows = choose_shadows(settings, &lights, occluders, &mut |_| report(0.0))?;
-    let sky = sky_query(scene, settings, occluders);
+    let mut sky = sky_query(scene, settings, occluders);
+    let asked = selections(settings)?.1;
+    if let (Some(sky), Selection::Method(method)) = (&mut sky, asked)
+        && method.wants_pilot()
+    {
+        let camera = integrator(scene, settings, (Vec::new(), occluders), None, [None, None])?;
+        sky.pilot = camera.pilot(settings.height);
+    }
     let ambient = match &sky {
-        Some(sky) => Some(plan::sky(selections(settings)?.1, occluders, sky, &mut |_| report(0.0))?),
+        Some(sky) => Some(plan::sky(asked, occluders, sky, &mut |_| report(0.0))?),
         None => None,
     };
     let engines = [&shadows, &ambient].map(|choice| choice.as_ref().map(|choice| &*choice.engine));

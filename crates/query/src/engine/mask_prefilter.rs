@@ -1,14 +1,17 @@
 //! Method `mask-prefilter`: masks for what is near, stored opacity for what is far. Approximate.
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
-use crate::{AoMethod, Occluders, QueryError, far::FarOpacity};
+use crate::{
+    AoMethod, Occluders, QueryError,
+    far::{Blockers, FarOpacity},
+};
 use std::sync::Arc;
 use umbrage_accel::Bvh;
-use umbrage_aomask::{
-    BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides, coarse, exact, exact::adaptive::Spent,
-};
+use umbrage_aomask::{MaskOptions, Outputs, Pattern, Receiver, Sides, exact::adaptive::Spent};
+use umbrage_geom::OpticalDepth;
 
 pub(super) struct MaskPrefilter<'a> {
+    occluders: &'a Occluders,
     bvh: &'a Bvh,
     pattern: Pattern,
     options: MaskOptions,
@@ -31,9 +34,18 @@ impl<'a> MaskPrefilter<'a> {
         let bvh = one_mesh(method, occluders.flat())?;
         let (pattern, options) = sky.masks()?;
         let far = one_mesh(method, occluders.far_opacity(progress)?)?;
-        let near = far.near(bvh, &pattern, &sky.pattern, &options)?;
-        Ok(Self { bvh, pattern, options, far, near })
+        let near = far.near(&blockers(occluders, bvh), &pattern, &sky.pattern, &options, &sky.pilot)?;
+        Ok(Self { occluders, bvh, pattern, options, far, near })
     }
+}
+
+/// The triangles of occluders in one mesh, whose hierarchy is `bvh`.
+fn blockers<'a>(
+    occluders: &'a Occluders,
+    bvh: &'a Bvh,
+) -> Blockers<'a, impl Fn(u32) -> OpticalDepth + Sync + 'a> {
+    let depth_of = (!occluders.is_opaque()).then_some(move |prim| occluders.flat_depth(prim));
+    Blockers { bvh, depth_of }
 }
 
 impl Engine for MaskPrefilter<'_> {
@@ -62,13 +74,9 @@ impl Engine for MaskPrefilter<'_> {
         outputs: Outputs<'_>,
         progress: Report<'_>,
     ) -> Result<Spent, QueryError> {
-        let (Self { bvh, pattern, options, .. }, best) = (self, BackEnd::best());
-        if let Some(near) = self.near {
-            let far = self.far.cones(pattern.len(), near, options.radius)?;
-            coarse::answer_receivers(bvh, &far, pattern, receivers, options, best, outputs, progress)?;
-        } else {
-            exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)?;
-        }
+        let Self { occluders, bvh, pattern, options, .. } = self;
+        let far = self.near.map(|near| self.far.cones(pattern.len(), near, options.radius)).transpose()?;
+        blockers(occluders, bvh).answer(far.as_ref(), pattern, receivers, options, outputs, progress)?;
         Ok(Spent::uniform(pattern.len() as u32, receivers.len() as u64))
     }
 }

@@ -14,7 +14,7 @@ mod solid;
 mod surface;
 mod tile;
 
-use super::{AoMethod, Occluders, QueryError, SceneKind, ShadowMethod, View};
+use super::{AoMethod, Occluders, Pilot, QueryError, SceneKind, ShadowMethod, View};
 use umbrage_accel::Counters;
 use umbrage_aomask::{
     MaskOptions, Outputs, Pattern, PatternOptions, Points, RasterView, Receiver, Sides,
@@ -174,12 +174,22 @@ pub struct Sky {
     /// Standard error of the openness to aim at: receivers get as many rays as that takes by an estimate, up to those of the
     /// pattern.
     pub target_error: Option<f32>,
+    /// A sample of the receivers that will be asked, if [`AoMethod::wants_pilot`]; without one such a method takes points on the
+    /// surfaces of the scene.
+    pub pilot: Pilot,
 }
 
 impl Sky {
     /// Both sides block, receivers are given as points, and all get the rays of the pattern.
     pub fn new(pattern: PatternOptions, radius: f32) -> Self {
-        Self { pattern, radius, sides: Sides::Both, view: View::NoCamera, target_error: None }
+        Self {
+            pattern,
+            radius,
+            sides: Sides::Both,
+            view: View::NoCamera,
+            target_error: None,
+            pilot: Pilot::default(),
+        }
     }
 
     /// Sets [`Self::sides`].
@@ -198,6 +208,12 @@ impl Sky {
     #[must_use]
     pub fn with_view(self, view: View) -> Self {
         Self { view, ..self }
+    }
+
+    /// Sets [`Self::pilot`].
+    #[must_use]
+    pub fn with_pilot(self, pilot: Pilot) -> Self {
+        Self { pilot, ..self }
     }
 
     fn options(&self) -> MaskOptions {

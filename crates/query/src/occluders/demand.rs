@@ -147,11 +147,17 @@ impl Occluders {
         self.demand.once(&self.demand.kd_tree, Structure::KdTree, make).map(Some)
     }
 
-    /// Stored opacity of opaque triangles in one mesh; `None` for others. Built by the first call.
+    /// Stored opacity of triangles in one mesh; `None` where instances are kept apart. Built by the first call.
     pub(crate) fn far_opacity(&self, progress: Report<'_>) -> Result<Option<Arc<FarOpacity>>, QueryError> {
-        let Some((_, mesh)) = self.flat_opaque() else { return Ok(None) };
+        if self.flat().is_none() {
+            return Ok(None);
+        }
+        let mesh = &self.parts[0].mesh;
         let make = || {
-            let far = FarOpacity::build(mesh, progress)?;
+            let opacity = |prim| 1.0 - self.flat_depth(prim).transmittance();
+            let count = if self.is_opaque() { 0 } else { mesh.triangles.len() as u32 };
+            let opacities: Vec<f32> = (0..count).map(opacity).collect();
+            let far = FarOpacity::build(mesh, &opacities, progress)?;
             let bytes = far.bytes();
             Ok((Arc::new(far), bytes))
         };
