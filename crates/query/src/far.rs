@@ -652,8 +652,8 @@ mod tests {
             ("bush", 8_000, false),
             ("bush", 8_000, true),
             ("hairball", 8_000, true),
-            ("city", 6_000, false),
-            ("cathedral", 4_000, false),
+            ("city", 20_000, false),
+            ("cathedral", 10_000, false),
         ] {
             let mesh = generated(name, triangles, 1.0);
             let case = Case::new(if ground { on_ground(mesh) } else { mesh });
