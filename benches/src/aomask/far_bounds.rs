@@ -31,7 +31,7 @@ const SCENES: [Scene; 14] = [
     ("tentacles", 100_000, 1.0, true),
     ("bamboo", 200_000, 1.0, true),
     ("city", 100_000, 1.0, false),
-    ("cathedral", 100_000, 1.0, false),
+    ("cathedral", 120_000, 1.0, false),
     ("sibenik", 0, 1.0, false),
     ("knots", 30_000, 1.0, true),
     ("rocks", 60_000, 1.0, true),
