@@ -10,7 +10,6 @@ use crate::{
     scenes,
 };
 use anyhow::Result;
-use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::{f64::consts::TAU, path::PathBuf};
 use umbrage_aomask::{
@@ -23,10 +22,7 @@ use umbrage_geom::{
     glam::{Vec2, Vec3},
     sampling::{RandomStream, combine, concentric_disc, sobol_2d},
 };
-use umbrage_query::{
-    Answers, AoMethod, Engine, Ground, Occluders, Sky,
-    engine::{self, LightRay},
-};
+use umbrage_query::{Answers, AoMethod, Engine, Ground, Occluders, Sky, engine};
 use umbrage_reference::{Question, Reference};
 
 /// Scenes: closed, open, rooms, foliage.
@@ -175,26 +171,6 @@ struct Asked<'a> {
 }
 
 impl Asked<'_> {
-    /// Answers of an engine that answers rays.
-    fn by_rays(&mut self) {
-        let Self { case, receivers, engine, pattern, ao, .. } = self;
-        let radius = case.length();
-        let block = |(receivers, ao): (&[Receiver], &mut [f32])| {
-            let (mut rays, mut passed) = (Vec::new(), Vec::new());
-            for (receiver, ao) in receivers.iter().zip(ao) {
-                let directions = pattern.directions(pattern.member_of(receiver));
-                let all = pattern.rays_of(receiver, radius).zip(directions);
-                rays.clear();
-                rays.extend(all.map(|(ray, &d)| LightRay::new(ray, pattern.solid_angle(d))));
-                passed.clear();
-                passed.resize(rays.len(), 1.0);
-                engine.transmittances(&rays, None, &mut passed, None).expect("it answers rays");
-                *ao = (passed.iter().map(|&x| f64::from(x)).sum::<f64>() / rays.len() as f64) as f32;
-            }
-        };
-        receivers.par_chunks(64).zip(ao.par_chunks_mut(64)).for_each(block);
-    }
-
     /// Mean bias over seeds of the receivers, and its standard error by their spread.
     fn mean_bias(&mut self) -> (f64, f64) {
         let mut biases = Vec::new();
@@ -213,10 +189,12 @@ impl Asked<'_> {
 
 impl Timed for Asked<'_> {
     fn run(&mut self) {
-        if self.engine.answers() == Answers::Rays {
-            return self.by_rays();
+        let Self { case, receivers, engine, pattern, ao, spent, .. } = self;
+        if engine.answers() == Answers::Rays {
+            engine::openness_by_rays(&**engine, pattern, case.length(), receivers, ao, &mut |_| true)
+                .expect("it answers rays");
+            return;
         }
-        let Self { receivers, engine, ao, spent, .. } = self;
         let outputs = Outputs::new(ao);
         *spent = engine.sky(receivers, outputs, &mut |_| true).expect("it answers receivers");
     }

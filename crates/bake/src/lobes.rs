@@ -46,12 +46,24 @@ pub(super) fn asked(
     Ok(asked)
 }
 
-/// A lobe of each of some receivers, drawn by their shares; the same for every shard.
+/// A sample of the receivers, for methods that look at one first; the same for every shard.
 ///
 /// # Errors
 /// Those of [`asked`].
 pub(super) fn pilot(receivers: &Receivers, options: &BakeOptions) -> Result<Pilot, BakeError> {
     let some: Vec<u32> = Pilot::indices(receivers.len()).map(|i| i as u32).collect();
+    Ok(Pilot::new(drawn(receivers, &some, options)?, receivers.len()))
+}
+
+/// A lobe of each of the receivers `some`, drawn by their shares; receivers without a direction have none.
+///
+/// # Errors
+/// Those of [`asked`].
+pub(super) fn drawn(
+    receivers: &Receivers,
+    some: &[u32],
+    options: &BakeOptions,
+) -> Result<Vec<Receiver>, BakeError> {
     let draw = |lobes: &[Asked]| {
         let mut left = unit(combine(lobes[0].receiver.seed(), PILOT));
         let drawn = lobes.iter().find(|lobe| {
@@ -60,8 +72,8 @@ pub(super) fn pilot(receivers: &Receivers, options: &BakeOptions) -> Result<Pilo
         });
         drawn.unwrap_or(&lobes[lobes.len() - 1]).receiver
     };
-    let asked = asked(receivers, &some, options)?;
-    Ok(Pilot::new(asked.chunk_by(|a, b| a.slot == b.slot).map(draw).collect(), receivers.len()))
+    let asked = asked(receivers, some, options)?;
+    Ok(asked.chunk_by(|a, b| a.slot == b.slot).map(draw).collect())
 }
 
 /// Means over the lobes of each of `count` receivers; receivers without a direction are open.

@@ -1,6 +1,6 @@
 //! Points that want to know how open they are.
 
-use super::{BakeError, NormalSource};
+use super::{BakeError, BakeOptions, NormalSource, lobes};
 use umbrage_geom::{
     TriangleMesh,
     glam::{DVec3, Vec3},
@@ -107,6 +107,22 @@ impl Receivers {
     /// Where they are, world units.
     pub fn points(&self) -> &[[f32; 3]] {
         &self.points
+    }
+
+    /// The receivers of indices `some` as methods of ambient occlusion ask for them. Of one that stands for several normals, a single
+    /// one is drawn by their shares; receivers without a direction are left out.
+    ///
+    /// # Errors
+    /// [`BakeError::Mask`] for a point or normal that is not usable.
+    ///
+    /// # Panics
+    /// If an index is not below [`Self::len`].
+    pub fn drawn(
+        &self,
+        some: &[u32],
+        options: &BakeOptions,
+    ) -> Result<Vec<umbrage_aomask::Receiver>, BakeError> {
+        lobes::drawn(self, some, options)
     }
 
     pub(super) fn lobes(&self, index: usize) -> &[Lobe] {

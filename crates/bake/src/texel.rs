@@ -26,6 +26,14 @@ pub enum VAxis {
     Down,
 }
 
+impl VAxis {
+    /// The way of a mesh file's format: glTF counts v from the top of the image, other formats from the bottom.
+    pub fn of_file(path: &std::path::Path) -> Self {
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+        if extension == "gltf" || extension == "glb" { Self::Down } else { Self::Up }
+    }
+}
+
 /// Which triangle each texel of an image shows.
 ///
 /// A texel belongs to the triangle that covers its centre, edges included; where several do (shared edges, overlapping

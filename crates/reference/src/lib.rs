@@ -1,15 +1,18 @@
-//! Ambient occlusion by independent random rays: what every `rmse` and `bias` of the project is measured against.
+//! Ambient occlusion and shadows by independent random rays: what every `rmse` and `bias` of the project is measured against.
 //!
-//! Here: plain random rays (no strata, no pattern, a generator and a frame of their own) that are decided by the exact predicate,
-//! one by one through [`Bvh::any_hit`], [`Bvh::closest_hit`] or [`Bvh::transmittance`]. The estimate has no bias; its standard error is
-//! known and part of the answer. Answers are kept in a folder by their content, so that a suite asks for each only once.
+//! Here: plain random rays (no strata, no pattern, a generator and a frame of their own). A [`Question`] decides them by the exact
+//! predicate, one by one through [`Bvh::any_hit`], [`Bvh::closest_hit`] or [`Bvh::transmittance`], and keeps answers in a folder by their
+//! content, so that a suite asks for each only once. [`Receivers`] ask about whatever the caller traces, in rounds that can be joined. The
+//! estimate has no bias; its standard error is known and part of the answer.
 
 #![forbid(unsafe_code)]
 
+mod estimate;
 mod generator;
 
-use generator::{Generator, mix};
-use rayon::prelude::*;
+pub use estimate::{Emitter, Receivers};
+
+use generator::mix;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -57,6 +60,19 @@ impl Reference {
         self.variances.iter().sum::<f64>().sqrt() / self.variances.len().max(1) as f64
     }
 
+    /// The mean of this answer and of an `other` one to the same question by other rays; `share` of the rays are the other's.
+    #[must_use]
+    pub fn joined(self, other: &Self, share: f64) -> Self {
+        let join = |own: Vec<f64>, other: &[f64], a: f64, b: f64| -> Vec<f64> {
+            own.into_iter().zip(other).map(|(x, y)| a * x + b * y).collect()
+        };
+        let own = 1.0 - share;
+        Self {
+            ao: join(self.ao, &other.ao, own, share),
+            variances: join(self.variances, &other.variances, own * own, share * share),
+        }
+    }
+
     /// Mean of `ao` minus that of the reference.
     pub fn bias(&self, ao: impl IntoIterator<Item = f64>) -> f64 {
         let sum: f64 = ao.into_iter().zip(&self.ao).map(|(a, b)| a - b).sum();
@@ -78,9 +94,8 @@ impl Question<'_> {
     /// [`BuildError`] if no hierarchy can be built.
     pub fn answer(&self, rays: u32, seed: u64) -> Result<Reference, BuildError> {
         let bvh = Bvh::build(&self.mesh.positions, &self.mesh.triangles, &BuildOptions::default())?;
-        let one = |i: usize| self.receiver(&bvh, i, rays, seed);
-        let (ao, variances) = (0..self.points.len()).into_par_iter().map(one).unzip();
-        Ok(Reference { ao, variances })
+        let receivers = Receivers { points: self.points, normals: self.normals, faces: &[] };
+        Ok(receivers.openness(self.radius, rays, seed, &|ray| self.passed(&bvh, ray)))
     }
 
     /// [`Self::answer`], from the folder `target/reference` of the workspace where it is known, else kept there.
@@ -117,24 +132,6 @@ impl Question<'_> {
         key
     }
 
-    /// Mean and variance of the mean of one receiver.
-    fn receiver(&self, bvh: &Bvh, index: usize, rays: u32, seed: u64) -> (f64, f64) {
-        let (point, normal) = (self.points[index], self.normals[index].map(f64::from));
-        let [tangent, bitangent] = plane(normal);
-        let mut generator = Generator::new(seed, index as u64);
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for _ in 0..rays {
-            let [x, y, z] = generator.cosine_direction();
-            let direction = [0, 1, 2].map(|i| (tangent[i] * x + bitangent[i] * y + normal[i] * z) as f32);
-            let passed = self.passed(bvh, &Ray::new(point, direction).with_tfar(self.radius));
-            sum += passed;
-            squares += passed * passed;
-        }
-        let n = f64::from(rays);
-        let mean = sum / n;
-        (mean, (squares / n - mean * mean).max(0.0) / (n - 1.0).max(1.0))
-    }
-
     fn passed(&self, bvh: &Bvh, ray: &Ray) -> f64 {
         if !self.depths.is_empty() {
             let depth = |prim: u32| self.depths[prim as usize];
@@ -145,22 +142,6 @@ impl Question<'_> {
         }
         bvh.closest_hit(ray).map_or(1.0, |hit| 1.0 - f64::from(self.falloff.weight(hit.t / self.radius)))
     }
-}
-
-/// Two unit vectors at right angles to the unit vector `n` and to each other.
-fn plane(n: [f64; 3]) -> [[f64; 3]; 2] {
-    let least = (0..3).min_by(|&a, &b| n[a].abs().total_cmp(&n[b].abs())).unwrap_or(0);
-    let mut other = [0.0; 3];
-    other[least] = 1.0;
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    };
-    let unit = |v: [f64; 3]| {
-        let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
-        v.map(|x| x / length)
-    };
-    let tangent = unit(cross(n, other));
-    [tangent, unit(cross(n, tangent))]
 }
 
 fn parse(bytes: &[u8], receivers: usize) -> Option<Reference> {

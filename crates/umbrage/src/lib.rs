@@ -13,3 +13,4 @@ pub use umbrage_query as query;
 pub use umbrage_render as render;
 pub use umbrage_reyes as reyes;
 pub use umbrage_scene as scene;
+pub use umbrage_study as study;

@@ -4,7 +4,7 @@ use super::{
     Engine, LightRay, Report, one_mesh,
     tile::{Remembers, Tile},
 };
-use crate::{Occluders, QueryError, ShadowMethod};
+use crate::{Occluders, QueryError, ShadowMethod, Structure};
 use std::sync::{Arc, Mutex};
 use umbrage_accel::{Counters, kdtree::Order};
 use umbrage_geom::Ray;
@@ -71,6 +71,10 @@ fn in_packets(
 impl Engine for Kd {
     fn name(&self) -> &'static str {
         self.method.name()
+    }
+
+    fn structures(&self) -> &'static [Structure] {
+        &[Structure::KdTree]
     }
 
     fn for_tile(&self, counted: bool) -> Option<Box<dyn Engine + '_>> {

@@ -2,7 +2,7 @@
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
 use crate::{
-    AoMethod, Occluders, QueryError,
+    AoMethod, Occluders, QueryError, Structure,
     far::{Blockers, FarOpacity},
 };
 use std::sync::Arc;
@@ -51,6 +51,10 @@ fn blockers<'a>(
 impl Engine for MaskPrefilter<'_> {
     fn name(&self) -> &'static str {
         AoMethod::MaskPrefilter.name()
+    }
+
+    fn structures(&self) -> &'static [Structure] {
+        &[Structure::Bvh, Structure::FarOpacity]
     }
 
     fn answers(&self) -> Answers {

@@ -1,7 +1,7 @@
 //! Method `mask-raster`: masks of triangles from tables, for all pixels that a triangle may occlude. Approximate.
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
-use crate::{AoMethod, Occluders, QueryError};
+use crate::{AoMethod, Occluders, QueryError, Structure};
 use umbrage_aomask::{MaskOptions, MaskTables, Outputs, RasterLevel, RasterOptions, RasterView, rasterize};
 use umbrage_geom::TriangleMesh;
 
@@ -23,6 +23,10 @@ impl<'a> MaskRaster<'a> {
 impl Engine for MaskRaster<'_> {
     fn name(&self) -> &'static str {
         AoMethod::MaskRaster.name()
+    }
+
+    fn structures(&self) -> &'static [Structure] {
+        &[Structure::MaskTables]
     }
 
     fn answers(&self) -> Answers {

@@ -1,7 +1,7 @@
 //! Method `mask-table`: masks of triangles from tables. Approximate.
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
-use crate::{AoMethod, Occluders, QueryError};
+use crate::{AoMethod, Occluders, QueryError, Structure};
 use umbrage_accel::Bvh;
 use umbrage_aomask::{MaskOptions, MaskTables, Outputs, Pattern, Receiver, exact::adaptive::Spent};
 
@@ -23,6 +23,10 @@ impl<'a> MaskTable<'a> {
 impl Engine for MaskTable<'_> {
     fn name(&self) -> &'static str {
         AoMethod::MaskTable.name()
+    }
+
+    fn structures(&self) -> &'static [Structure] {
+        &[Structure::Bvh, Structure::MaskTables]
     }
 
     fn answers(&self) -> Answers {

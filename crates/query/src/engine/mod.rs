@@ -3,6 +3,7 @@
 //! One file an engine. Its name in [`AoMethod`] or [`ShadowMethod`] and its arm in [`shadows`] or [`sky`] are all that the rest of
 //! the workspace sees of it.
 
+mod by_rays;
 mod kd;
 mod mask;
 mod mask_prefilter;
@@ -14,7 +15,9 @@ mod solid;
 mod surface;
 mod tile;
 
-use super::{AoMethod, Occluders, Pilot, QueryError, SceneKind, ShadowMethod, View};
+pub use by_rays::openness_by_rays;
+
+use super::{AoMethod, Occluders, Pilot, QueryError, SceneKind, ShadowMethod, Structure, View};
 use umbrage_accel::Counters;
 use umbrage_aomask::{
     MaskOptions, Outputs, Pattern, PatternOptions, Points, RasterView, Receiver, Sides,
@@ -148,6 +151,11 @@ pub trait Engine: Sync {
         None
     }
 
+    /// The structures that it asks, which [`Occluders::structures`] has the times and bytes of.
+    fn structures(&self) -> &'static [Structure] {
+        &[Structure::Bvh]
+    }
+
     /// What was made of the occluders so far, by engines that make it when rays come near.
     fn prepared(&self) -> Option<Prepared> {
         None
@@ -177,6 +185,8 @@ pub struct Sky {
     /// A sample of the receivers that will be asked, if [`AoMethod::wants_pilot`]; without one such a method takes points on the
     /// surfaces of the scene.
     pub pilot: Pilot,
+    /// Threshold `T` of [`AoMethod::Prefilter`]: smaller is nearer to exact rays, and slower. `None` is 0.3.
+    pub threshold: Option<f32>,
 }
 
 impl Sky {
@@ -189,6 +199,7 @@ impl Sky {
             view: View::NoCamera,
             target_error: None,
             pilot: Pilot::default(),
+            threshold: None,
         }
     }
 
@@ -202,6 +213,12 @@ impl Sky {
     #[must_use]
     pub fn with_target_error(self, target_error: Option<f32>) -> Self {
         Self { target_error, ..self }
+    }
+
+    /// Sets [`Self::threshold`].
+    #[must_use]
+    pub fn with_threshold(self, threshold: Option<f32>) -> Self {
+        Self { threshold, ..self }
     }
 
     /// Sets [`Self::view`].
@@ -245,14 +262,43 @@ pub fn mask_rays(rays: u32) -> bool {
     (8..=Pattern::MAX_MASK_RAYS).contains(&rays) && rays.is_multiple_of(8)
 }
 
+/// What can be chosen of shadow methods.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct ShadowOptions {
+    /// Threshold `T` of [`ShadowMethod::Prefilter`]: smaller is nearer to exact rays, and slower. `None` is 0.2.
+    pub threshold: Option<f32>,
+}
+
+impl ShadowOptions {
+    /// Sets [`Self::threshold`].
+    #[must_use]
+    pub fn with_threshold(self, threshold: Option<f32>) -> Self {
+        Self { threshold }
+    }
+}
+
+/// The engine of a shadow method, by default options.
+///
+/// # Errors
+/// Those of [`shadows_with`].
+pub fn shadows<'a>(
+    method: ShadowMethod,
+    occluders: &'a Occluders,
+    progress: Report<'_>,
+) -> Result<Box<dyn Engine + 'a>, QueryError> {
+    shadows_with(method, occluders, &ShadowOptions::default(), progress)
+}
+
 /// The engine of a shadow method.
 ///
 /// # Errors
 /// [`QueryError::Unsupported`] with the reason; [`QueryError::Build`], [`QueryError::Prefilter`], [`QueryError::Cancelled`] of
 /// the structures that are made for it.
-pub fn shadows<'a>(
+pub fn shadows_with<'a>(
     method: ShadowMethod,
     occluders: &'a Occluders,
+    options: &ShadowOptions,
     progress: Report<'_>,
 ) -> Result<Box<dyn Engine + 'a>, QueryError> {
     method.check(&occluders.kind(View::NoCamera))?;
@@ -270,7 +316,8 @@ pub fn shadows<'a>(
         | ShadowMethod::KdVolumetricSolid => Box::new(kd::Kd::build(method, occluders, progress)?),
         ShadowMethod::BvhVolumetric => Box::new(solid::Solid::new(occluders)?),
         ShadowMethod::Prefilter => {
-            Box::new(prefilter::Prefilter::build(occluders, prefilter::SHADOW_THRESHOLD, progress)?)
+            let threshold = options.threshold.unwrap_or(prefilter::SHADOW_THRESHOLD);
+            Box::new(prefilter::Prefilter::build(occluders, threshold, progress)?)
         }
     })
 }
@@ -319,7 +366,8 @@ pub fn sky<'a>(
             return Err(QueryError::Unsupported { method: method.name(), reason });
         }
         AoMethod::Prefilter => {
-            Box::new(prefilter::Prefilter::build(occluders, prefilter::AO_THRESHOLD, progress)?)
+            let threshold = sky.threshold.unwrap_or(prefilter::AO_THRESHOLD);
+            Box::new(prefilter::Prefilter::build(occluders, threshold, progress)?)
         }
     })
 }

@@ -1,7 +1,7 @@
 //! Method `prefilter`: rays end at prefiltered nodes that fit inside their cones. Approximate.
 
 use super::{Engine, LightRay, Report};
-use crate::{AoMethod, Occluders, QueryError};
+use crate::{AoMethod, Occluders, QueryError, Structure};
 use std::sync::Arc;
 use umbrage_accel::{Counters, Statistics};
 use umbrage_geom::Ray;
@@ -56,6 +56,10 @@ impl<'a> Prefilter<'a> {
 impl Engine for Prefilter<'_> {
     fn name(&self) -> &'static str {
         AoMethod::Prefilter.name()
+    }
+
+    fn structures(&self) -> &'static [Structure] {
+        &[Structure::Bvh, Structure::Prefiltered]
     }
 
     fn transmittances(

@@ -71,6 +71,10 @@ impl Engine for Solid<'_> {
         ShadowMethod::BvhVolumetric.name()
     }
 
+    fn structures(&self) -> &'static [Structure] {
+        &[Structure::Bvh, Structure::SolidBoxes]
+    }
+
     fn prepared(&self) -> Option<Prepared> {
         Some(match self {
             Self::OneMesh(part) => part.solid.prepared(),

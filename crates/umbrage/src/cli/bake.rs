@@ -1,9 +1,14 @@
 //! `umbrage bake`
 
-use super::{Interrupted, is_mesh, methods, progress::Bar, thread_pool};
+use super::{
+    Interrupted, is_mesh, methods,
+    progress::Bar,
+    sizes::{RadiusArgument, SizeArgument},
+    thread_pool,
+};
 use anyhow::{Context, Result, ensure};
 use serde_json::json;
-use std::{io::Write, path::PathBuf, process::ExitCode, str::FromStr, time::Instant};
+use std::{io::Write, path::PathBuf, process::ExitCode, time::Instant};
 use umbrage::{
     bake::baked::{BakeTarget, Baked, check_part_extension},
     bake::{Bake, BakeError, BakeOptions, NormalSource, Receivers, TexelMap, VAxis, blocks},
@@ -13,7 +18,7 @@ use umbrage::{
 use umbrage_aomask::Sides;
 use umbrage_aomask::exact::adaptive::Spent;
 use umbrage_geom::{Falloff, TriangleMesh};
-use umbrage_scene::{Points, Radius, Scene, read_mesh, read_points};
+use umbrage_scene::{Points, Scene, read_mesh, read_points};
 
 /// Bakes ambient occlusion on to a mesh, an image or points.
 ///
@@ -127,41 +132,6 @@ enum Normals {
     File,
 }
 
-#[derive(Clone, Copy)]
-struct RadiusArgument(Radius);
-
-impl FromStr for RadiusArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let positive = |digits: &str| digits.trim().parse::<f32>().ok().filter(|&r| r > 0.0);
-        let radius = match text.strip_suffix('%') {
-            Some(percent) => {
-                positive(percent).filter(|r| r.is_finite()).map(|r| Radius::OfDiagonal(r / 100.0))
-            }
-            None => {
-                positive(text).map(|r| if r.is_finite() { Radius::Absolute(r) } else { Radius::Unbounded })
-            }
-        };
-        radius.map(Self).ok_or_else(|| "expected a length above 0, a percentage as in 10%, or inf".into())
-    }
-}
-
-#[derive(Clone, Copy)]
-struct SizeArgument([u32; 2]);
-
-impl FromStr for SizeArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (w, h) = text.split_once(['x', 'X']).unwrap_or((text, text));
-        match (w.parse(), h.parse()) {
-            (Ok(w), Ok(h)) if w > 0 && h > 0 => Ok(Self([w, h])),
-            _ => Err("expected N or WIDTHxHEIGHT, at least 1".into()),
-        }
-    }
-}
-
 impl BakeArguments {
     fn options(&self) -> BakeOptions {
         let sides = match self.sides {
@@ -189,12 +159,6 @@ impl BakeArguments {
             Normals::Smooth => NormalSource::Smooth,
             Normals::File => NormalSource::File,
         }
-    }
-
-    /// glTF counts v from the top of the image, other formats from the bottom.
-    fn v_axis(&self) -> VAxis {
-        let extension = self.mesh.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
-        if extension == "gltf" || extension == "glb" { VAxis::Down } else { VAxis::Up }
     }
 }
 
@@ -285,7 +249,7 @@ fn receivers(arguments: &BakeArguments, input: &Input) -> Result<(Receivers, Bak
         }
         Per::Texel => {
             let [width, height] = arguments.size.0;
-            let map = TexelMap::new(mesh, width, height, arguments.v_axis())?;
+            let map = TexelMap::new(mesh, width, height, VAxis::of_file(&arguments.mesh))?;
             let receivers = map.receivers(mesh, normals)?;
             let covered = map.covered();
             let at = (0..width * height)

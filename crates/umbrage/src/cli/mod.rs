@@ -7,6 +7,8 @@ mod merge;
 mod methods;
 mod progress;
 mod render;
+mod sizes;
+mod study;
 mod tools;
 
 use anyhow::Result;
@@ -26,6 +28,7 @@ struct Arguments {
 enum Command {
     Render(render::RenderArguments),
     Bake(bake::BakeArguments),
+    Study(study::StudyArguments),
     Merge(merge::MergeArguments),
     Inspect(tools::InspectArguments),
     Compare(tools::CompareArguments),
@@ -50,6 +53,7 @@ pub fn run() -> ExitCode {
     let result = BackEnd::forced().map_err(anyhow::Error::from).and_then(|_| match command {
         Command::Render(arguments) => render::run(&arguments),
         Command::Bake(arguments) => bake::run(&arguments),
+        Command::Study(arguments) => study::run(&arguments),
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Inspect(arguments) => tools::inspect(&arguments),
         Command::Compare(arguments) => tools::compare(&arguments),

@@ -152,7 +152,7 @@ fn print<T: Serialize + std::fmt::Display>(report: &T, json: bool) -> Result<Exi
 }
 
 /// Prints a line; a reader that has seen enough (`| head`) is no error.
-fn print_line(text: &str) -> Result<()> {
+pub(super) fn print_line(text: &str) -> Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),

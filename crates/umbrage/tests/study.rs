@@ -1,0 +1,84 @@
+//! `umbrage study`.
+
+use std::{path::Path, process::Command};
+
+fn study(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
+        .arg("study")
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .expect("the program runs");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code(), text(&output.stdout), text(&output.stderr))
+}
+
+/// A control mesh: a box with a smaller one on top.
+const BOXES: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
+    f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+
+const SCENE: &str = r#"
+[camera]
+position = [3, 2, 4]
+target = [0.5, 0.5, 0.5]
+fov = 40
+[image]
+width = 64
+height = 48
+[ambient]
+[[objects]]
+mesh = { file = "boxes.obj", subdivide = 2 }
+[[lights]]
+type = "sphere"
+center = [2, 4, 2]
+radius = 1
+radiance = [5, 5, 5]
+"#;
+
+#[test]
+fn a_scene_is_studied_and_all_files_are_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("boxes.obj"), BOXES).expect("a file");
+    std::fs::write(folder.path().join("boxes.toml"), SCENE).expect("a file");
+    let files = ["-o", "boxes.html", "--csv", "boxes.csv", "--json", "boxes.jsonl"];
+    let (code, out, error) =
+        study(folder.path(), &[&["boxes.toml", "--receivers", "100", "--budget", "3s"], &files[..]].concat());
+    assert_eq!(code, Some(0), "{error}");
+    for expected in [
+        "Ambient occlusion, unbounded radius",
+        "Shadow of light 1",
+        "subdivision surfaces",
+        "For an error of",
+    ] {
+        assert!(out.contains(expected), "{expected}: {out}");
+    }
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).expect("it was written");
+    assert!(read("boxes.html").contains("<svg"));
+    assert!(read("boxes.csv").starts_with("subject,question,method,"));
+    for line in read("boxes.jsonl").lines() {
+        let row: serde_json::Value = serde_json::from_str(line).expect("JSON");
+        for key in ["suite", "scene", "method", "params", "time_s", "rmse", "bias", "bytes", "counters"] {
+            assert!(!row[key].is_null(), "{key}: {line}");
+        }
+    }
+    let surfaces = read("boxes.csv").lines().filter(|line| line.contains(",surfaces,")).count();
+    assert!(surfaces >= 3, "{surfaces}");
+}
+
+#[test]
+fn what_can_t_be_studied_is_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("boxes.obj"), BOXES).expect("a file");
+    for (arguments, expected) in [
+        (&["boxes.obj", "--method", "maks"][..], "maks"),
+        (&["boxes.obj", "-o", "boxes.pdf"], ".html"),
+        (&["boxes.obj", "--budget", "soon"], "soon"),
+        (&["boxes.obj", "--receivers", "3"], "receivers"),
+        (&["missing.obj"], "missing.obj"),
+        (&["boxes.obj", "--per", "texel"], "texture coordinates"),
+    ] {
+        let (code, _, error) = study(folder.path(), arguments);
+        assert_eq!(code, Some(2), "{arguments:?}: {error}");
+        assert!(error.contains(expected), "{arguments:?}: {error}");
+    }
+}
