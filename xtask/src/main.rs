@@ -1,7 +1,8 @@
-//! Tasks of the workspace: `cargo xtask ci`, `golden`, `bench`, `peers`, `pictures`.
+//! Tasks of the workspace: `cargo xtask ci`, `golden`, `bench`, `tables`, `peers`, `pictures`.
 
 mod peers;
 mod pictures;
+mod tables;
 
 use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
@@ -65,6 +66,12 @@ enum Task {
         #[arg(long, value_name = "FOLDER")]
         pictures: Option<PathBuf>,
     },
+    /// Writes the tables of the docs from docs/results.
+    Tables {
+        /// Only says which tables differ from their data, and fails if one does.
+        #[arg(long)]
+        check: bool,
+    },
     /// Says how to install the libraries that `bench --peer` needs, and whether they are found.
     Peers,
     /// Renders the pictures of the docs again, into docs/images.
@@ -94,6 +101,7 @@ fn main() -> Result<()> {
             let rest: Vec<String> = given.flatten().collect();
             bench(&suite, quick, json.as_deref(), &peers, &rest)
         }
+        Task::Tables { check } => tables::run(root(), check),
         Task::Peers => {
             peers::print();
             Ok(())
@@ -127,6 +135,7 @@ fn run(command: &mut Command) -> Result<()> {
 }
 
 fn ci() -> Result<()> {
+    tables::run(root(), true)?;
     run(&mut cargo(&["fmt", "--all", "--check"]))?;
     run(&mut cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
     let without_threads =

@@ -1,7 +1,7 @@
 //! Pictures of each method beside the exact one with many rays, differences, and where the work is.
 
-use super::{Answers, StudyError, Subject, curve};
-use std::time::Duration;
+use super::{Answers, Missing, StudyError, Subject, curve, measure::BUDGET_ENDED};
+use std::time::{Duration, Instant};
 use umbrage_image::{ColorMap, Film, ValueRange, color, encode_png, names};
 use umbrage_query::{AoMethod, Occluders, QueryError, ShadowMethod};
 use umbrage_render::{RenderError, RenderOptions, render};
@@ -38,6 +38,8 @@ pub struct Pictures {
     pub exact: (String, Vec<u8>),
     /// One for each method.
     pub methods: Vec<Picture>,
+    /// Methods without a picture, and why.
+    pub missing: Vec<Missing>,
     /// Nodes entered and triangles tested by single rays, as a PNG file, with the number that the brightest colour means.
     pub cost: Option<(Vec<u8>, f32)>,
 }
@@ -84,29 +86,33 @@ pub(crate) fn render_all(
     let (width, height) = size(&scene, asked.and_then(speed).unwrap_or(1.0), time);
     let settings = &mut scene.settings;
     (settings.width, settings.height, settings.spp) = (width, height, 1);
-    let mut film = |method: &str, rays: u32, count: bool| {
-        film(&scene, subject.occluders(), (method, rays), count, go_on)
-    };
-    let (exact, cost) = film(exact_method, MANY_RAYS, true)?;
+    let start = Instant::now();
+    let (exact, cost) = film(&scene, subject.occluders(), (exact_method, MANY_RAYS), true, go_on)?;
     let truth = exact.require(layer)?.values().to_vec();
-    let mut methods = Vec::new();
+    let (mut methods, mut missing) = (Vec::new(), Vec::new());
     let candidates: Vec<&'static str> = match sky {
         Some(_) => AoMethod::ALL.iter().map(|method| method.name()).collect(),
         None => ShadowMethod::ALL.iter().map(|method| method.name()).collect(),
     };
     for method in candidates {
         let rays = asked.and_then(|a| rays_for(a, method)).unwrap_or(USUAL_RAYS);
-        let (film, _) = match film(method, rays, false) {
-            Ok(made) => made,
-            Err(StudyError::Render(RenderError::Query(QueryError::Unsupported { .. }))) => continue,
+        // A slow method ends the time for pictures, not the study.
+        let mut interrupted = false;
+        let mut within = || {
+            interrupted = !go_on();
+            !interrupted && start.elapsed() < time
+        };
+        let reason = match film(&scene, subject.occluders(), (method, rays), false, &mut within) {
+            Ok((film, _)) => {
+                let values = film.require(layer)?.values();
+                methods.push(picture(format!("{method}, {rays} rays"), values, &truth, [width, height])?);
+                continue;
+            }
+            Err(StudyError::Render(RenderError::Query(QueryError::Unsupported { reason, .. }))) => reason,
+            Err(StudyError::Cancelled) if !interrupted => BUDGET_ENDED,
             Err(other) => return Err(other),
         };
-        methods.push(picture(
-            format!("{method}, {rays} rays"),
-            film.require(layer)?.values(),
-            &truth,
-            [width, height],
-        )?);
+        missing.push(Missing { method: method.into(), reason: reason.into() });
     }
     let what = if sky.is_some() { "Ambient occlusion" } else { "Shadows" };
     Ok(Pictures {
@@ -115,6 +121,7 @@ pub(crate) fn render_all(
         height,
         exact: (format!("{exact_method}, {MANY_RAYS} rays"), grey(&truth, [width, height])?),
         methods,
+        missing,
         cost,
     })
 }

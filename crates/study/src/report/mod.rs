@@ -159,6 +159,7 @@ struct Gallery {
     height: u32,
     exact: Image,
     methods: Vec<Pair>,
+    missing: Vec<String>,
     cost: Option<Image>,
     strongest: f32,
 }
@@ -192,6 +193,7 @@ fn gallery(pictures: &Pictures) -> Gallery {
         height: pictures.height,
         exact: Image { caption: pictures.exact.0.clone(), data: encode(&pictures.exact.1) },
         methods: pictures.methods.iter().map(pair).collect(),
+        missing: pictures.missing.iter().map(|m| format!("{}: {}.", m.method, m.reason)).collect(),
         cost: pictures.cost.as_ref().map(|(png, most)| Image {
             caption: format!(
                 "Nodes entered and triangles tested by single rays; yellow is {most:.0} a pixel"
