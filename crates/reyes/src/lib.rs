@@ -1,37 +1,24 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
-mod bucket;
-mod build;
-mod cache;
-mod cells;
-mod diagsplit;
-mod dice;
 mod error;
-mod eye;
-mod footprint;
-mod grid;
-mod kernel;
-mod length;
-mod occluder;
+mod mesh;
 mod options;
 mod patch;
-mod rated;
-mod state;
+mod rate;
 mod subdiv;
 mod surface;
-mod tessellate;
 mod trace;
 
-pub use bucket::{BucketOptions, Fragment, RasterCamera, rasterize};
 pub use error::SurfaceError;
-pub use eye::EyeRates;
-pub use footprint::{camera_differential, light_differential, reflect, refract};
-pub use length::MAX_LEVEL;
+pub use mesh::bucket::{BucketOptions, Fragment, RasterCamera, rasterize};
+pub use mesh::rated::{RatedHit, RatedSurface};
 pub use options::{Borders, FootprintRule, Rates, TraceOptions};
 pub use patch::Bicubic;
-pub use rated::{RatedHit, RatedSurface};
-pub use state::TraceState;
+pub use rate::eye::EyeRates;
+pub use rate::footprint::{camera_differential, light_differential, reflect, refract};
+pub use rate::length::MAX_LEVEL;
 pub use subdiv::{BoundaryRule, CreaseMethod, INFINITE_SHARPNESS, MAX_VALENCE, SubdivisionMesh};
 pub use surface::{Bounds, LimitPoint, Surface, SurfaceCounts, SurfaceOptions};
+pub use trace::state::TraceState;
 pub use trace::{SurfaceHit, SurfaceTracer, TraceCounts};

@@ -1,6 +1,6 @@
 //! How a surface is traced.
 
-use crate::{SurfaceError, length::MAX_LEVEL};
+use crate::{SurfaceError, rate::length::MAX_LEVEL};
 
 /// Where along the ray the footprint that sets a patch's rate is taken (Djeu 2011, section 6.7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -1,16 +1,20 @@
 //! Rays against a surface: a hierarchy over patch bounds, rates by footprint, grids on demand.
 
+pub(crate) mod cache;
+pub(crate) mod occluder;
+pub(crate) mod state;
+
 use crate::{
     FootprintRule, Rates, Surface, SurfaceError, TraceOptions,
-    cache::GridCache,
-    dice::{GridKey, Stitch},
-    footprint::Width,
-    grid::{Grid, GridRay},
-    occluder::OpaqueCells,
+    mesh::dice::{GridKey, Stitch},
+    mesh::grid::{Grid, GridRay},
     patch::{Node, QUARTERS},
-    state::TraceState,
+    rate::footprint::Width,
     subdiv::NONE,
     surface::{LimitPoint, Meeting},
+    trace::cache::GridCache,
+    trace::occluder::OpaqueCells,
+    trace::state::TraceState,
 };
 use std::{
     ops::ControlFlow,
@@ -285,7 +289,7 @@ impl SurfaceTracer {
         if width.is_nan() || width <= 0.0 {
             return self.options.max_level.max(least);
         }
-        let fits = |&l: &u8| longest * crate::length::cell(l) <= width;
+        let fits = |&l: &u8| longest * crate::rate::length::cell(l) <= width;
         (least..self.options.max_level.max(least)).find(fits).unwrap_or(self.options.max_level.max(least))
     }
 

@@ -2,9 +2,9 @@
 
 use crate::{
     Surface, SurfaceError,
-    dice::{GridKey, Stitch},
-    length::MAX_LEVEL,
+    mesh::dice::{GridKey, Stitch},
     patch::{Children, quarter_at},
+    rate::length::MAX_LEVEL,
     subdiv::NONE,
     surface::{Meeting, SIZE},
 };

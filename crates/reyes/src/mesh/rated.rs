@@ -2,10 +2,10 @@
 
 use crate::{
     EyeRates, Surface, SurfaceError, SurfaceHit,
-    cells::Cells,
-    dice::{GridKey, Stitch},
-    grid::GridRay,
-    length::MAX_LEVEL,
+    mesh::cells::Cells,
+    mesh::dice::{GridKey, Stitch},
+    mesh::grid::GridRay,
+    rate::length::MAX_LEVEL,
     surface::LimitPoint,
 };
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
