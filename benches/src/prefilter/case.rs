@@ -16,7 +16,7 @@ use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query
 const REFERENCE: u32 = 576;
 
 /// Receivers from one to the next whose exact answer is found twice, to know its own error.
-const CHECKED: usize = 32;
+const RECHECKED_EVERY: usize = 32;
 
 /// What is asked of a scene.
 #[derive(Clone, Copy)]
@@ -336,7 +336,7 @@ impl Case {
     fn refer(&mut self) {
         let all: Vec<usize> = (0..self.receivers.len()).collect();
         self.truth = self.visibility(&all, 77);
-        let checked: Vec<usize> = all.into_iter().step_by(CHECKED).collect();
+        let checked: Vec<usize> = all.into_iter().step_by(RECHECKED_EVERY).collect();
         let again = self.visibility(&checked, 78);
         let squares: f64 = checked.iter().zip(&again).map(|(&i, x)| (self.truth[i] - x).powi(2)).sum();
         // Both have the same error, independently.

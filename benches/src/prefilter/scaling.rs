@@ -21,20 +21,20 @@ const RAYS: u32 = 16;
 const PASSES: usize = 5;
 
 /// Who answers: exact rays without a query.
-struct Way {
+struct Caster {
     method: &'static str,
     query: Option<Query>,
 }
 
 /// The default, and attempts to depend less on the number of triangles: rays end however near nodes are, or sooner.
-fn ways(case: &Case) -> Result<[Way; 4]> {
+fn ways(case: &Case) -> Result<[Caster; 4]> {
     let default = case.query();
     let sooner = Query::new(0.25 * default.threshold())?;
     Ok([
-        Way { method: "bvh", query: None },
-        Way { method: "prefilter", query: Some(default) },
-        Way { method: "prefilter-any-angle", query: Some(default.with_widest(1e3)) },
-        Way { method: "prefilter-sooner", query: Some(sooner.with_widest(1e3)) },
+        Caster { method: "bvh", query: None },
+        Caster { method: "prefilter", query: Some(default) },
+        Caster { method: "prefilter-any-angle", query: Some(default.with_widest(1e3)) },
+        Caster { method: "prefilter-sooner", query: Some(sooner.with_widest(1e3)) },
     ])
 }
 

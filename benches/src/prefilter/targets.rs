@@ -35,7 +35,7 @@ const HEIGHT_5: &str = "prefilter-height-5";
 const HEIGHT_0: &str = "prefilter-height-0";
 
 /// How a curve's points are computed.
-enum Way<'a> {
+enum Answerer<'a> {
     Exact,
     Stochastic,
     Prefiltered(&'a Prefiltered, Query),
@@ -55,7 +55,7 @@ struct Point<'a> {
     rays: u32,
     cones: &'a [ConeRay],
     plain: &'a [Ray],
-    way: Way<'a>,
+    way: Answerer<'a>,
     passed: Vec<f32>,
     scratch: (Vec<bool>, Vec<OpticalDepth>),
 }
@@ -63,8 +63,8 @@ struct Point<'a> {
 impl Timed for Point<'_> {
     fn prepare(&mut self) {
         match &mut self.way {
-            Way::Peer(entry) => entry.prepare(),
-            Way::PeerAlpha(entry) => entry.prepare(),
+            Answerer::Peer(entry) => entry.prepare(),
+            Answerer::PeerAlpha(entry) => entry.prepare(),
             _ => {}
         }
     }
@@ -72,20 +72,22 @@ impl Timed for Point<'_> {
     fn run(&mut self) {
         let Self { case, plain, passed, scratch, .. } = self;
         match &mut self.way {
-            Way::Exact => case.exact(plain, passed, scratch),
-            Way::Stochastic => case.stochastic(plain, passed, scratch),
-            Way::Prefiltered(scene, query) => scene.transmittances_with(self.cones, query, passed, &mut ()),
-            Way::Peer(entry) => entry.run(None),
-            Way::PeerAlpha(entry) => entry.run(None),
+            Answerer::Exact => case.exact(plain, passed, scratch),
+            Answerer::Stochastic => case.stochastic(plain, passed, scratch),
+            Answerer::Prefiltered(scene, query) => {
+                scene.transmittances_with(self.cones, query, passed, &mut ())
+            }
+            Answerer::Peer(entry) => entry.run(None),
+            Answerer::PeerAlpha(entry) => entry.run(None),
         }
     }
 
     fn finish(&mut self) {
         match &self.way {
-            Way::Peer(entry) => {
+            Answerer::Peer(entry) => {
                 self.passed = entry.answers().iter().map(|&hit| f32::from(u8::from(!hit))).collect();
             }
-            Way::PeerAlpha(entry) => {
+            Answerer::PeerAlpha(entry) => {
                 self.passed = entry.answers().iter().map(|depth| depth.transmittance()).collect();
             }
             _ => {}
@@ -339,9 +341,9 @@ impl Setting<'_> {
                 Point { case, kind, method, rays: *rays, cones, plain, way, passed, scratch }
             };
             if EXACT_RAYS.contains(rays) {
-                points.push(point(("bvh", 0), Way::Exact));
+                points.push(point(("bvh", 0), Answerer::Exact));
                 if case.source.alpha < 1.0 {
-                    points.push(point(("stochastic", 0), Way::Stochastic));
+                    points.push(point(("stochastic", 0), Answerer::Stochastic));
                 }
                 for (peer, mode) in peers.iter().zip(&modes) {
                     points.extend(
@@ -351,7 +353,7 @@ impl Setting<'_> {
             }
             if RAYS.contains(rays) {
                 for curve in self.curves {
-                    points.push(point(curve.method, Way::Prefiltered(curve.scene, curve.query)));
+                    points.push(point(curve.method, Answerer::Prefiltered(curve.scene, curve.query)));
                 }
             }
         }
@@ -367,13 +369,13 @@ impl Setting<'_> {
 }
 
 /// The call of a peer called `mode`.
-fn peer_way<'a>(case: &Case, peer: &'a dyn Peer, rays: &'a [Ray], mode: &str) -> Option<Way<'a>> {
+fn peer_way<'a>(case: &Case, peer: &'a dyn Peer, rays: &'a [Ray], mode: &str) -> Option<Answerer<'a>> {
     if case.source.alpha < 1.0 {
         let entries = peer.transmittance(rays, OpticalDepth::from_opacity(ALPHA));
-        entries.into_iter().find(|entry| entry.mode() == mode).map(Way::PeerAlpha)
+        entries.into_iter().find(|entry| entry.mode() == mode).map(Answerer::PeerAlpha)
     } else {
         let entries = peer.any_hit(rays);
-        entries.into_iter().find(|e| e.method() == peer.name() && e.mode() == mode).map(Way::Peer)
+        entries.into_iter().find(|e| e.method() == peer.name() && e.mode() == mode).map(Answerer::Peer)
     }
 }
 

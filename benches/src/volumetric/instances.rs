@@ -23,7 +23,7 @@ pub fn measure(folder: &Path, options: &Options, output: &mut Output) -> Result<
     let plain = Bvh::build(&flat.mesh.positions, &flat.mesh.triangles, &BuildOptions::default())?;
     let shadows = flat.shadows(&plain, SIDE, PER_LIGHT, if options.quick { 128 } else { 32 }, 0);
     let rays: Vec<Ray> = shadows.rays.iter().map(|ray| Ray { tnear: START, ..*ray }).collect();
-    let scene::Crowd { mut meshes, maps } = scene::crowd(folder, &mut RandomStream::new(7, 0))?;
+    let scene::PlacedMeshes { mut meshes, maps } = scene::crowd(folder, &mut RandomStream::new(7, 0))?;
     meshes.push(meshes[0].clone());
     let place = |(mesh, map): (usize, Affine3A)| Placement { bvh: mesh as u32, world_from_object: map };
     let mut placements: Vec<Placement> = maps.into_iter().map(place).collect();

@@ -8,7 +8,7 @@ mod scene;
 mod tables;
 
 use self::{
-    methods::{Call, Caster, Run, Structures, Tally, kd_casters, of_renderer, wide_casters},
+    methods::{Call, Caster, Run, Structures, WorkCounters, kd_casters, of_renderer, wide_casters},
     scene::{Scene, Shadows},
     tables::Tables,
 };
@@ -153,7 +153,7 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
     let modes: Vec<(&str, String)> = rivals.iter().map(|rival| (rival.method(), rival.mode())).collect();
     let (times, answers) = case.time(&casters, rivals, passes);
     let wrong = brute_differences(scene, &shadows, &answers[0]);
-    let mut tallies: Vec<(Tally, usize)> = casters.iter().map(|caster| (caster.tally(), 0)).collect();
+    let mut tallies: Vec<(WorkCounters, usize)> = casters.iter().map(|caster| (caster.tally(), 0)).collect();
     let whole = !options.quick && options.part.is_none() && SINGLE[..QUICK].contains(&scene.name.as_str());
     for index in 0..if whole { step } else { 1 } {
         let other = (index > 0).then(|| part(index));

@@ -48,7 +48,7 @@ const PUBLISHED: [&str; 4] = [
 const BASE: &str = "kd";
 const BEST: &str = "kd-volumetric:qdbfs+cache";
 const GUIDED: &str = "kd-volumetric:solid+guide";
-const SPARSE: &str = "kd-volumetric:extended-8+cache";
+const EXTENDED: &str = "kd-volumetric:extended-8+cache";
 
 impl Tables {
     pub fn add(&mut self, row: Row, counters: Counters) {
@@ -123,7 +123,7 @@ impl Tables {
         self.figure("Mean area of found occluders, 1e-3 of the unit square", |_, c| {
             c.cell_area / c.cell_hits.max(1) as f64 * 1e3
         });
-        for (figure, method) in [("3.10", BEST), ("4.36", SPARSE)] {
+        for (figure, method) in [("3.10", BEST), ("4.36", EXTENDED)] {
             println!("\nFigure {figure}: shadow rays of {method}, % miss / triangle / occluder");
             for scene in &self.scenes {
                 if let Some((_, c)) = self.find(&scene.name, method, "single") {
@@ -242,7 +242,9 @@ impl Tables {
         let points: Vec<&SceneFacts> = self.scenes.iter().filter(|s| s.name.contains("points")).collect();
         for s in &points {
             let find = |method| self.find(&s.name, method, "single").map(|(row, _)| row);
-            let (Some(base), Some(bfs), Some(di)) = (find(BASE), find(BEST), find(SPARSE)) else { continue };
+            let (Some(base), Some(bfs), Some(di)) = (find(BASE), find(BEST), find(EXTENDED)) else {
+                continue;
+            };
             let ns = |row: &Row| row.time_s / s.rays as f64 * 1e9;
             let saved = |row: &Row| 100.0 * (1.0 - 1.0 / row.speedup);
             println!(
@@ -260,7 +262,7 @@ impl Tables {
             "\nTable 4.3: cache hits, rays ended by occluders, % of rays near generators (deferred intersection)"
         );
         for s in &points {
-            if let Some((_, c)) = self.find(&s.name, SPARSE, "single") {
+            if let Some((_, c)) = self.find(&s.name, EXTENDED, "single") {
                 let all = c.cache_lookups.max(1) as f64 / 100.0;
                 println!("  {:<18} {:.1} {:.1}", s.name, c.cache_hits as f64 / all, c.cell_hits as f64 / all);
             }

@@ -4,6 +4,7 @@
 //! made on a sample of the very receivers that are asked where it is known ([`Pilot`]), and takes the sample's own error into
 //! account.
 
+use crate::engine::Report;
 use umbrage_accel::Bvh;
 use umbrage_aomask::{
     BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
@@ -22,10 +23,10 @@ use umbrage_geom::{
 };
 
 /// How far masks are exact, the first that will do: shares of the radius, or of the diagonal if that is less.
-const NEARS: [f32; 5] = [0.1, 0.15, 0.22, 0.33, 0.5];
+const EXACT_DISTANCES: [f32; 5] = [0.1, 0.15, 0.22, 0.33, 0.5];
 
 /// Cells of the field over which masks are exact at least; more in proportion for larger shares.
-const NEAR_CELLS: f32 = 2.25;
+const MIN_EXACT_CELLS: f32 = 2.25;
 
 /// What the field may add to the mean of exact rays, and to their RMS error, over the receivers of a group. Walls and floors are
 /// darkened by cells that hold themselves.
@@ -40,13 +41,13 @@ const CANDIDATES: usize = 8192;
 const SAMPLES: usize = 512;
 
 /// Fewer say little of a standard error: such a group counts with the other.
-const FEWEST: usize = 32;
+const MIN_GROUP_RECEIVERS: usize = 32;
 
 /// Most triangles that are left to exact rays.
-const LARGE: usize = 8;
+const MAX_LARGE_TRIANGLES: usize = 8;
 
 /// Distance from a large triangle within which a receiver counts as on it, in diagonals of all others.
-const ON_LARGE: f64 = 1e-3;
+const MAX_DISTANCE_FROM_LARGE: f64 = 1e-3;
 
 /// The triangles of a scene as masks see them.
 pub(crate) struct Blockers<'a, D> {
@@ -138,13 +139,13 @@ impl Group {
 
 /// A triangle that is left to exact rays.
 #[derive(Clone, Debug, PartialEq)]
-struct Large {
+struct LargeTriangle {
     corners: [[f32; 3]; 3],
     /// Fraction of light that a crossing lets through.
     passes: f32,
 }
 
-impl Large {
+impl LargeTriangle {
     /// Whether `point` is above or below the triangle by `most` or less.
     fn has(&self, point: Vec3, most: f64) -> bool {
         let [a, b, c] = self.corners.map(|p| Vec3::from(p).as_dvec3());
@@ -159,7 +160,7 @@ pub(crate) struct FarOpacity {
     field: OpacityField,
     diagonal: f32,
     /// Triangles without which all others lie close together, such as a wide ground: too large for the field.
-    large: Vec<Large>,
+    large: Vec<LargeTriangle>,
     /// Where errors are looked at when it isn't known who will ask.
     samples: Pilot,
 }
@@ -188,8 +189,8 @@ impl FarOpacity {
         let field = OpacityField::build_transparent(&mesh.positions, &rest, &of_rest, &options, progress)?;
         let diagonal = bounds_of(mesh, &rest).diagonal();
         let passes = |i: usize| opacities.get(i).map_or(0.0, |opacity| 1.0 - opacity.clamp(0.0, 1.0));
-        let large = large.into_iter().map(|i| Large { corners: mesh.triangle(i), passes: passes(i) });
-        let large: Vec<Large> = large.collect();
+        let large = large.into_iter().map(|i| LargeTriangle { corners: mesh.triangle(i), passes: passes(i) });
+        let large: Vec<LargeTriangle> = large.collect();
         let samples = samples(mesh, &rest, &large)?;
         Ok(Self { field, diagonal, large, samples })
     }
@@ -203,7 +204,8 @@ impl FarOpacity {
     /// How far masks of `pattern`, which has `options`, are to be exact so that the whole errs little at the receivers that the
     /// pilot stands for: over those on large triangles and over all others, the field adds at most [`MOST_BIAS`] to the mean and
     /// [`MOST_RMSE`] to the RMS error, both with [`CONFIDENCE`] standard errors to spare. A pilot without receivers stands for the
-    /// surfaces of the scene. `None` if the field is of no use, because it would have to begin too far away.
+    /// surfaces of the scene. `None` if the field is of no use, because it would have to begin too far away. `progress` gets 0 and returns
+    /// `false` to cancel.
     ///
     /// # Errors
     /// Those of [`coarse::answer_receivers`].
@@ -214,12 +216,13 @@ impl FarOpacity {
         options: &PatternOptions,
         masks: &MaskOptions,
         pilot: &Pilot,
+        progress: Report<'_>,
     ) -> Result<Option<f32>, MaskError> {
         let many = Pattern::new(&options.clone().with_rays(Pattern::MAX_MASK_RAYS))?;
-        let ask = |far: Option<&FarCones<'_>>, pattern: &Pattern, group: &Group| {
+        let mut ask = |far: Option<&FarCones<'_>>, pattern: &Pattern, group: &Group| {
             let mut ao = vec![0f32; group.receivers.len()];
             let outputs = Outputs::new(&mut ao);
-            blockers.answer(far, pattern, &group.receivers, masks, outputs, &mut |_| true)?;
+            blockers.answer(far, pattern, &group.receivers, masks, outputs, &mut |_| progress(0.0))?;
             Ok::<_, MaskError>(ao)
         };
         let groups = self.groups(if pilot.receivers.is_empty() { &self.samples } else { pilot });
@@ -228,8 +231,8 @@ impl FarOpacity {
             known.push((group, ask(None, &many, group)?, ask(None, pattern, group)?));
         }
         let extent = masks.radius.min(self.diagonal);
-        'nears: for share in NEARS {
-            let near = (share * extent).max(share / NEARS[0] * NEAR_CELLS * self.field.cell());
+        'nears: for share in EXACT_DISTANCES {
+            let near = (share * extent).max(share / EXACT_DISTANCES[0] * MIN_EXACT_CELLS * self.field.cell());
             if known.is_empty() || near >= extent {
                 break;
             }
@@ -253,13 +256,13 @@ impl FarOpacity {
 
     /// Receivers on large triangles, and all others; one group if either has few.
     fn groups(&self, pilot: &Pilot) -> Vec<Group> {
-        let most = ON_LARGE * f64::from(self.diagonal);
+        let most = MAX_DISTANCE_FROM_LARGE * f64::from(self.diagonal);
         let on_large = |receiver: &Receiver| self.large.iter().any(|large| large.has(receiver.point(), most));
         let all = &pilot.receivers;
         let (on, off): (Vec<Receiver>, Vec<Receiver>) = all.iter().copied().partition(on_large);
         let share = (all.len() as f64 / pilot.of.max(1) as f64).min(1.0);
         let parts = match on.len().min(off.len()) {
-            0..FEWEST if share < 1.0 || on.is_empty() || off.is_empty() => vec![all.clone()],
+            0..MIN_GROUP_RECEIVERS if share < 1.0 || on.is_empty() || off.is_empty() => vec![all.clone()],
             _ => vec![off, on],
         };
         let parts = parts.into_iter().filter(|part| !part.is_empty());
@@ -279,7 +282,7 @@ impl FarOpacity {
 
 /// Points on the fronts of `rest`, half of them by area and half by number of triangles, and on large triangles near the rest,
 /// on its side of them; the same in every run.
-fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pilot, MaskError> {
+fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[LargeTriangle]) -> Result<Pilot, MaskError> {
     let corners = |i: usize| rest[i].map(|v| Vec3::from(mesh.positions[v as usize]).as_dvec3());
     let area = |i: usize| {
         let [a, b, c] = corners(i);
@@ -325,7 +328,7 @@ fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pi
         // Above and below the box of the rest and its surroundings.
         let point = near.min.as_dvec3() + spread;
         let point = point - normal * (point - a).dot(normal);
-        if large.has(point.as_vec3(), ON_LARGE * f64::from(near.diagonal())) {
+        if large.has(point.as_vec3(), MAX_DISTANCE_FROM_LARGE * f64::from(near.diagonal())) {
             let side = if (near.center().as_dvec3() - a).dot(normal) < 0.0 { -normal } else { normal };
             add(point, side, size([a, b, c]), seed)?;
         }
@@ -336,7 +339,7 @@ fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pi
 /// [`FarOpacity`] for one pattern.
 pub(crate) struct FarCones<'a> {
     cones: FieldCones<'a>,
-    large: &'a [Large],
+    large: &'a [LargeTriangle],
 }
 
 impl FarField for FarCones<'_> {
@@ -368,21 +371,21 @@ fn bounds_of(mesh: &TriangleMesh, triangles: &[[u32; 3]]) -> Aabb {
     corners.fold(Aabb::EMPTY, |aabb, &v| aabb.with_point(mesh.positions[v as usize]))
 }
 
-/// The fewest triangles, at most [`LARGE`], without which the diagonal of all others is less than half: their numbers, rising.
+/// The fewest triangles, at most [`MAX_LARGE_TRIANGLES`], without which the diagonal of all others is less than half: their numbers, rising.
 fn large(mesh: &TriangleMesh) -> Vec<usize> {
     let extent = |&i: &usize| {
         let [a, b, c] = mesh.triangle(i).map(Vec3::from);
         a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a))
     };
-    let mut largest: Vec<usize> = Vec::with_capacity(LARGE + 1);
+    let mut largest: Vec<usize> = Vec::with_capacity(MAX_LARGE_TRIANGLES + 1);
     for i in 0..mesh.triangles.len() {
         let size = extent(&i);
-        if largest.len() == LARGE && size <= extent(&largest[LARGE - 1]) {
+        if largest.len() == MAX_LARGE_TRIANGLES && size <= extent(&largest[MAX_LARGE_TRIANGLES - 1]) {
             continue;
         }
         let at = largest.partition_point(|other| extent(other) >= size);
         largest.insert(at, i);
-        largest.truncate(LARGE);
+        largest.truncate(MAX_LARGE_TRIANGLES);
     }
     // Bounds of what is left without the first `n`, growing as triangles come back.
     let mut taken = largest.clone();
@@ -447,7 +450,8 @@ mod tests {
         let mut opacities = vec![1.0; mesh.triangles.len()];
         opacities[41] = 0.25;
         let far = FarOpacity::build(&mesh, &opacities, &mut |_| true).unwrap();
-        let parts = [(40, 0.0), (41, 0.75)].map(|(i, passes)| Large { corners: mesh.triangle(i), passes });
+        let parts =
+            [(40, 0.0), (41, 0.75)].map(|(i, passes)| LargeTriangle { corners: mesh.triangle(i), passes });
         assert!(far.diagonal < 2.0 && far.large == parts);
         // Straight down beside the small ones there is the ground alone, which the field doesn't have.
         let mut cones = Cones { origin: Vec3::new(-3.0, 4.0, 0.0), ..Cones::default() };
@@ -596,7 +600,7 @@ mod tests {
             let masks = MaskOptions::default().with_radius(radius);
             let receivers = self.receivers(1, SAMPLES, SAMPLES).concat();
             let pilot = Pilot { of: 1 << 20, receivers };
-            self.far.near(&self.blockers(), &pattern, &options, &masks, &pilot).unwrap()
+            self.far.near(&self.blockers(), &pattern, &options, &masks, &pilot, &mut |_| true).unwrap()
         }
 
         /// [`Self::near`] over the extent.

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use umbrage_geom::sampling::sobol_2d;
 
 /// Share of the target that the expected error is to have.
-const AIM: f64 = 0.8;
+const EXPECTED_SHARE_OF_TARGET: f64 = 0.8;
 
 /// Most pilot pixels.
 const MOST_PILOTS: u32 = 1024;
@@ -78,14 +78,14 @@ pub(crate) fn squared_errors<'a>(
     Ok([mean(|p| p.lit, |p| p.shadow), mean(|p| p.seen, |p| p.ao)])
 }
 
-/// The smallest number of samples, a multiple of `step`, whose error is expected to be at most [`AIM`] times `target`, with that
+/// The smallest number of samples, a multiple of `step`, whose error is expected to be at most [`EXPECTED_SHARE_OF_TARGET`] times `target`, with that
 /// error. `measure` measures the squared error of a number of samples; `None` if there is nothing to measure.
 pub(crate) fn choose(
     target: f32,
     step: u32,
     mut measure: impl FnMut(u32) -> Result<Option<f64>, RenderError>,
 ) -> Result<(u32, Option<f64>), RenderError> {
-    let wanted = (AIM * f64::from(target)).powi(2);
+    let wanted = (EXPECTED_SHARE_OF_TARGET * f64::from(target)).powi(2);
     let mut last: Option<(u32, f64)> = None;
     let mut samples = step;
     loop {

@@ -34,7 +34,8 @@ impl<'a> MaskPrefilter<'a> {
         let bvh = one_mesh(method, occluders.flat())?;
         let (pattern, options) = sky.masks()?;
         let far = one_mesh(method, occluders.far_opacity(progress)?)?;
-        let near = far.near(&blockers(occluders, bvh), &pattern, &sky.pattern, &options, &sky.pilot)?;
+        let blockers = blockers(occluders, bvh);
+        let near = far.near(&blockers, &pattern, &sky.pattern, &options, &sky.pilot, progress)?;
         Ok(Self { occluders, bvh, pattern, options, far, near })
     }
 }

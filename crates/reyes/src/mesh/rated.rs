@@ -21,7 +21,7 @@ use umbrage_geom::{
 const SMALLEST_FAN: usize = 3;
 
 /// Boxes up to which the hierarchy is built with care.
-const CAREFUL: usize = 1 << 15;
+const MAX_BOXES_OF_HIGH_QUALITY: usize = 1 << 15;
 
 /// Where a ray meets a [`RatedSurface`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,7 +73,8 @@ impl RatedSurface {
             surface.place_vertices(&key, counts, &mut positions, &mut parameters);
             cells.push(&positions, !key.stitch.is_none(), &mut boxes);
         }
-        let quality = if boxes.len() <= CAREFUL { BuildQuality::High } else { BuildQuality::Fast };
+        let quality =
+            if boxes.len() <= MAX_BOXES_OF_HIGH_QUALITY { BuildQuality::High } else { BuildQuality::Fast };
         Ok(Self { bvh: BoxBvh::build(&boxes, quality)?, cells, levels, surface })
     }
 

@@ -1,6 +1,6 @@
 //! The tree of quarters of a patch. Quarters are made when they are first asked for, and kept as far as their budget of memory
 //! allows. A quarter is a bicubic patch where the surface is regular; around extraordinary vertices and decaying creases it
-//! is a ring of control points, which is split down to level [`DEEPEST`] and counts as its nearest corner there.
+//! is a ring of control points, which is split down to level [`MAX_IRREGULAR_LEVEL`] and counts as its nearest corner there.
 //!
 //! Here: bounds, splits, positions and limit points. Not here: rings ([`Ring`]) and bicubic patches ([`Bicubic`]), how finely
 //! a patch is diced (`dice.rs`, `length.rs`), which parts a ray visits (`trace.rs`).
@@ -24,7 +24,7 @@ use umbrage_geom::{
 };
 
 /// Levels below which an irregular patch counts as its nearest corner.
-const DEEPEST: u32 = 40;
+const MAX_IRREGULAR_LEVEL: u32 = 40;
 
 /// What all nodes of a surface share.
 #[derive(Debug)]
@@ -283,7 +283,7 @@ impl Node {
             }
             Kind::Irregular(ring) => {
                 let at_corner = (u == 0.0 || u == 1.0) && (v == 0.0 || v == 1.0);
-                if at_corner || depth >= DEEPEST {
+                if at_corner || depth >= MAX_IRREGULAR_LEVEL {
                     let corner = quarter_at(u >= 0.5, v >= 0.5);
                     let [a, b] = ring.tangents(corner, context.method);
                     // Tangents run along the next and the previous edge.

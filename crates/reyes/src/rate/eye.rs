@@ -15,7 +15,7 @@ const SEGMENTS: usize = 2;
 const LINE: usize = SEGMENTS + 1;
 
 /// Most that edges are lengthened or shortened by.
-const MOST: f64 = 4.0;
+const MAX_BEND_FACTOR: f64 = 4.0;
 
 /// How long the edges of micropolygons shall be, seen from a point: what [`crate::RatedSurface::for_eye`] goes by.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,7 +76,7 @@ impl EyeRates {
             return 1.0;
         }
         let ratio = f64::from(self.bend) * edges / turn;
-        if ratio.is_nan() { 1.0 } else { ratio.cbrt().clamp(MOST.recip(), MOST) }
+        if ratio.is_nan() { 1.0 } else { ratio.cbrt().clamp(MAX_BEND_FACTOR.recip(), MAX_BEND_FACTOR) }
     }
 
     /// Level, from `least` to `most`, at which edges along a line are as long as they shall be, or shorter by less than a half.

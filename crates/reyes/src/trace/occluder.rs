@@ -11,7 +11,7 @@ use umbrage_geom::{Aabb, Ray, glam::DVec3, glam::Vec3, winding_number};
 const MARGIN: f64 = 1e-3;
 
 /// Levels of preemptive subdivision for the boxes that cells keep clear of.
-const TIGHT: u32 = 2;
+const PREEMPTIVE_LEVELS: u32 = 2;
 
 /// A lattice of cells known to be inside or outside.
 pub(crate) struct OpaqueCells {
@@ -50,7 +50,7 @@ impl OpaqueCells {
         let mut this = Self { min, cell, counts, inside: empty.clone(), outside: empty.clone(), opaque: 0 };
         let mut known = empty;
         for patch in &surface.patches {
-            let bounds = patch.root.tight_bounds(TIGHT, &surface.context);
+            let bounds = patch.root.tight_bounds(PREEMPTIVE_LEVELS, &surface.context);
             this.for_each_in(&bounds, |i| set(&mut known, i));
         }
         let (coarse, _) = surface.tessellate(|_| [0, 0]).ok()?;

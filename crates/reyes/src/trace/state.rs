@@ -11,7 +11,7 @@ const MOST_GRIDS: usize = 1 << 10;
 /// Borders whose points are remembered.
 const MOST_BORDERS: usize = 1 << 12;
 /// Patches whose rates are remembered during a ray.
-const MEMO: usize = 64;
+const REMEMBERED_RATES: usize = 64;
 
 /// A thread's own memory of a tracer: grids it used lately, found without locking. Answers don't depend on it.
 ///
@@ -81,23 +81,23 @@ impl RecentGrids {
 /// Rates of patches as the current ray sees them.
 pub(crate) struct LevelMemo {
     stamp: u32,
-    slots: [(u32, u32, Option<[u8; 2]>); MEMO],
+    slots: [(u32, u32, Option<[u8; 2]>); REMEMBERED_RATES],
 }
 
 impl Default for LevelMemo {
     fn default() -> Self {
-        Self { stamp: 1, slots: [(0, 0, None); MEMO] }
+        Self { stamp: 1, slots: [(0, 0, None); REMEMBERED_RATES] }
     }
 }
 
 impl LevelMemo {
     pub(crate) fn get(&self, patch: u32) -> Option<Option<[u8; 2]>> {
-        let (stamp, known, levels) = self.slots[patch as usize % MEMO];
+        let (stamp, known, levels) = self.slots[patch as usize % REMEMBERED_RATES];
         (stamp == self.stamp && known == patch).then_some(levels)
     }
 
     pub(crate) fn set(&mut self, patch: u32, levels: Option<[u8; 2]>) {
-        self.slots[patch as usize % MEMO] = (self.stamp, patch, levels);
+        self.slots[patch as usize % REMEMBERED_RATES] = (self.stamp, patch, levels);
     }
 }
 

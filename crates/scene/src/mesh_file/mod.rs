@@ -208,15 +208,15 @@ fn read_file(path: &Path) -> Result<Vec<u8>, MeshFileError> {
 /// Control characters, line ends among them, become spaces, runs of spaces one, and long messages are cut: garbage must
 /// not reach a terminal.
 pub(crate) fn one_line(message: &str) -> String {
-    const LONGEST: usize = 240;
+    const MAX_MESSAGE_CHARACTERS: usize = 240;
     let mut line = String::new();
     for word in message.split(|c: char| c.is_whitespace() || c.is_control()).filter(|w| !w.is_empty()) {
         if !line.is_empty() {
             line.push(' ');
         }
         line.push_str(word);
-        if line.len() > LONGEST {
-            let end = (0..=LONGEST).rev().find(|&i| line.is_char_boundary(i)).unwrap_or(0);
+        if line.len() > MAX_MESSAGE_CHARACTERS {
+            let end = (0..=MAX_MESSAGE_CHARACTERS).rev().find(|&i| line.is_char_boundary(i)).unwrap_or(0);
             line.truncate(end);
             line.push_str("...");
             break;

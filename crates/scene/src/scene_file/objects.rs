@@ -331,11 +331,11 @@ fn first_free(stem: &str, taken: impl Fn(&str) -> bool) -> String {
 
 /// Names for an error, not too many.
 fn list<'a>(names: impl Iterator<Item = &'a str>) -> String {
-    const MOST: usize = 12;
+    const MAX_NAMES: usize = 12;
     let names: Vec<_> = names.collect();
     match names.len() {
         0 => "there are none".into(),
-        n if n > MOST => format!("{} and {} more", names[..MOST].join(", "), n - MOST),
+        n if n > MAX_NAMES => format!("{} and {} more", names[..MAX_NAMES].join(", "), n - MAX_NAMES),
         _ => names.join(", "),
     }
 }
