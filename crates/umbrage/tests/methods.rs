@@ -1,7 +1,8 @@
 //! Every method on three kinds of scenes: it runs under its own name, or it fails with exit code 2 and the reason.
 
-use std::{fs, path::PathBuf, process::Command};
-use tempfile::TempDir;
+use std::fs;
+use umbrage_testkit::Folder;
+
 use umbrage::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, SurfaceMode, View};
 use umbrage::scene::Scene;
 
@@ -49,54 +50,38 @@ fn scenes() -> [(&'static str, String); 3] {
     ]
 }
 
-struct Folder(TempDir);
+fn folder() -> Folder {
+    let folder = Folder::new(env!("CARGO_BIN_EXE_umbrage"), &[]);
+    for (name, text) in scenes() {
+        folder.write(&format!("{name}.toml"), text);
+    }
+    folder
+}
 
-impl Folder {
-    fn new() -> Self {
-        let folder = Self(tempfile::tempdir().unwrap());
-        for (name, text) in scenes() {
-            fs::write(folder.path(&format!("{name}.toml")), text).unwrap();
+fn kind_of(folder: &Folder, scene: &str) -> SceneKind {
+    SceneKind::of_scene(&Scene::load(&folder.path(&format!("{scene}.toml"))).unwrap())
+}
+
+/// Runs the program, which must do what `method` asks of `kind`: succeed and say so in its statistics, where `name_in` finds the name, or
+/// fail with the reason. Returns whether it succeeded.
+fn check(
+    folder: &Folder,
+    arguments: &str,
+    method: impl Method,
+    kind: &SceneKind,
+    name_in: impl Fn(&serde_json::Value) -> String,
+) -> bool {
+    match method.needs().unmet(kind) {
+        None => {
+            folder.ok(arguments);
+            assert_eq!(name_in(&folder.json("stats.json")), method.name(), "{arguments}");
+            fs::remove_file(folder.path("stats.json")).unwrap();
+            true
         }
-        folder
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn kind(&self, scene: &str) -> SceneKind {
-        SceneKind::of_scene(&Scene::load(&self.path(&format!("{scene}.toml"))).unwrap())
-    }
-
-    /// Runs the program, which must do what `method` asks of `kind`: succeed and say so in its statistics under `key`, or fail
-    /// with the reason. Returns whether it succeeded.
-    fn check(
-        &self,
-        arguments: &str,
-        method: impl Method,
-        kind: &SceneKind,
-        name_in: impl Fn(&serde_json::Value) -> String,
-    ) -> bool {
-        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-            .args(arguments.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap();
-        let error = String::from_utf8_lossy(&output.stderr).into_owned();
-        match method.needs().unmet(kind) {
-            None => {
-                assert!(output.status.success(), "{arguments}: {error}");
-                let stats = fs::read(self.path("stats.json")).unwrap();
-                assert_eq!(name_in(&serde_json::from_slice(&stats).unwrap()), method.name(), "{arguments}");
-            }
-            Some(reason) => {
-                assert_eq!(output.status.code(), Some(2), "{arguments}: {error}");
-                assert!(error.contains(method.name()) && error.contains(reason), "{arguments}: {error}");
-                assert!(!self.path("stats.json").exists(), "{arguments} left something behind");
-            }
+        Some(reason) => {
+            folder.fails(arguments, &[method.name(), reason]);
+            false
         }
-        let _ = fs::remove_file(self.path("stats.json"));
-        output.status.success()
     }
 }
 
@@ -106,23 +91,23 @@ fn text(value: &serde_json::Value) -> String {
 
 #[test]
 fn every_method_renders_or_says_why_not() {
-    let folder = Folder::new();
+    let folder = folder();
     let mut ran = Vec::new();
     for (scene, _) in scenes() {
-        let kind = folder.kind(scene);
+        let kind = kind_of(&folder, scene);
         let mut count = 0;
         for &method in ShadowMethod::ALL {
             let arguments =
                 format!("render {scene}.toml -o out.png --ao rays --shadows {method} --stats stats.json");
-            count += usize::from(
-                folder.check(&arguments, method, &kind, |stats| text(&stats["shadows"]["method"])),
-            );
+            count += usize::from(check(&folder, &arguments, method, &kind, |stats| {
+                text(&stats["shadows"]["method"])
+            }));
         }
         for &method in AoMethod::ALL {
             let arguments =
                 format!("render {scene}.toml -o out.png --shadows bvh --ao {method} --stats stats.json");
             count +=
-                usize::from(folder.check(&arguments, method, &kind, |stats| text(&stats["ao"]["method"])));
+                usize::from(check(&folder, &arguments, method, &kind, |stats| text(&stats["ao"]["method"])));
         }
         ran.push(count);
     }
@@ -132,28 +117,28 @@ fn every_method_renders_or_says_why_not() {
 
 #[test]
 fn every_method_bakes_or_says_why_not() {
-    let folder = Folder::new();
+    let folder = folder();
     let few =
         scenes()[0].1.replace("translate = [0, 0.5, 0]", "transforms = [{}, { translate = [2, 0, 0] }]");
-    fs::write(folder.path("copies.toml"), few).unwrap();
+    folder.write("copies.toml", few);
     for scene in ["opaque", "foliage", "copies"] {
         // Bakes copy instances into one mesh, and have no camera.
-        let kind = SceneKind { instances_apart: false, view: View::NoCamera, ..folder.kind(scene) };
+        let kind = SceneKind { instances_apart: false, view: View::NoCamera, ..kind_of(&folder, scene) };
         for &method in AoMethod::ALL {
             let arguments = format!(
                 "bake {scene}.toml -o out.ply --rays 32 --radius 20% --method {method} --stats stats.json"
             );
-            folder.check(&arguments, method, &kind, |stats| text(&stats["method"]));
+            check(&folder, &arguments, method, &kind, |stats| text(&stats["method"]));
         }
     }
 }
 
 #[test]
 fn the_help_lists_every_method_with_its_summary() {
+    let folder = folder();
     let help = |command: &str| {
-        let output = Command::new(env!("CARGO_BIN_EXE_umbrage")).args([command, "--help"]).output().unwrap();
         // Lines are wrapped to the terminal's width.
-        String::from_utf8(output.stdout).unwrap().split_whitespace().collect::<Vec<_>>().join(" ")
+        folder.ok(&format!("{command} --help")).split_whitespace().collect::<Vec<_>>().join(" ")
     };
     let [render, bake] = ["render", "bake"].map(help);
     for &method in ShadowMethod::ALL {
@@ -171,37 +156,24 @@ fn the_help_lists_every_method_with_its_summary() {
 
 #[test]
 fn scene_files_name_methods_that_exist() {
-    let folder = Folder::new();
+    let folder = folder();
     let (_, text) = &scenes()[0];
     for (key, known) in [("shadows", "bvh-volumetric"), ("ao", "mask-raster"), ("surfaces", "footprint")] {
         let bad = text.replace("[methods]", &format!("[methods]\n{key} = \"magic\""));
-        fs::write(folder.path("bad.toml"), bad).unwrap();
-        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-            .args(["render", "bad.toml", "-o", "out.png"])
-            .current_dir(folder.0.path())
-            .output()
-            .unwrap();
-        let error = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(2), "{key}: {error}");
-        assert!(["bad.toml", "magic", known].iter().all(|word| error.contains(word)), "{key}: {error}");
+        folder.write("bad.toml", bad);
+        folder.fails("render bad.toml -o out.png", &["bad.toml", "magic", known]);
     }
 }
 
 #[test]
 fn nothing_answers_where_nothing_is_asked() {
-    let folder = Folder::new();
+    let folder = folder();
     let (_, text) = &scenes()[0];
     let dark = &text[..text.find("[ambient]").unwrap()];
     let objects = &text[text.find("[[objects]]").unwrap()..];
-    fs::write(folder.path("dark.toml"), format!("{dark}{objects}")).unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-        .args(["render", "dark.toml", "-o", "out.png", "--shadows", "kd", "--stats", "stats.json"])
-        .current_dir(folder.0.path())
-        .output()
-        .unwrap();
-    assert!(output.status.success());
-    let stats: serde_json::Value =
-        serde_json::from_slice(&fs::read(folder.path("stats.json")).unwrap()).unwrap();
+    folder.write("dark.toml", format!("{dark}{objects}"));
+    folder.ok("render dark.toml -o out.png --shadows kd --stats stats.json");
+    let stats = folder.json("stats.json");
     for key in ["shadows", "ao"] {
         assert!(stats[key]["method"].is_null(), "{stats}");
         assert!(stats[key]["reason"].as_str().unwrap().contains("scene has no"), "{stats}");

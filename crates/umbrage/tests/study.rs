@@ -1,17 +1,6 @@
 //! `umbrage study`.
 
-use std::{path::Path, process::Command};
-
-fn study(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-        .arg("study")
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .expect("the program runs");
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (output.status.code(), text(&output.stdout), text(&output.stderr))
-}
+use umbrage_testkit::Folder;
 
 /// A control mesh: a box with a smaller one on top.
 const BOXES: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
@@ -37,13 +26,10 @@ radiance = [5, 5, 5]
 
 #[test]
 fn a_scene_is_studied_and_all_files_are_written() {
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join("boxes.obj"), BOXES).expect("a file");
-    std::fs::write(folder.path().join("boxes.toml"), SCENE).expect("a file");
-    let files = ["-o", "boxes.html", "--csv", "boxes.csv", "--json", "boxes.jsonl"];
-    let (code, out, error) =
-        study(folder.path(), &[&["boxes.toml", "--receivers", "100", "--budget", "3s"], &files[..]].concat());
-    assert_eq!(code, Some(0), "{error}");
+    let files = [("boxes.obj", BOXES), ("boxes.toml", SCENE)];
+    let folder = Folder::new(env!("CARGO_BIN_EXE_umbrage"), &files);
+    let outputs = "-o boxes.html --csv boxes.csv --json boxes.jsonl";
+    let out = folder.ok(&format!("study boxes.toml --receivers 100 --budget 3s {outputs}"));
     for expected in [
         "Ambient occlusion, unbounded radius",
         "Shadow of light 1",
@@ -52,7 +38,7 @@ fn a_scene_is_studied_and_all_files_are_written() {
     ] {
         assert!(out.contains(expected), "{expected}: {out}");
     }
-    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).expect("it was written");
+    let read = |name: &str| String::from_utf8(folder.bytes(name)).expect("text");
     assert!(read("boxes.html").contains("<svg"));
     assert!(read("boxes.csv").starts_with("subject,question,method,"));
     for line in read("boxes.jsonl").lines() {
@@ -67,18 +53,15 @@ fn a_scene_is_studied_and_all_files_are_written() {
 
 #[test]
 fn what_can_t_be_studied_is_said() {
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join("boxes.obj"), BOXES).expect("a file");
+    let folder = Folder::new(env!("CARGO_BIN_EXE_umbrage"), &[("boxes.obj", BOXES)]);
     for (arguments, expected) in [
-        (&["boxes.obj", "--method", "maks"][..], "maks"),
-        (&["boxes.obj", "-o", "boxes.pdf"], ".html"),
-        (&["boxes.obj", "--budget", "soon"], "soon"),
-        (&["boxes.obj", "--receivers", "3"], "receivers"),
-        (&["missing.obj"], "missing.obj"),
-        (&["boxes.obj", "--per", "texel"], "texture coordinates"),
+        ("study boxes.obj --method maks", "maks"),
+        ("study boxes.obj -o boxes.pdf", ".html"),
+        ("study boxes.obj --budget soon", "soon"),
+        ("study boxes.obj --receivers 3", "receivers"),
+        ("study missing.obj", "missing.obj"),
+        ("study boxes.obj --per texel", "texture coordinates"),
     ] {
-        let (code, _, error) = study(folder.path(), arguments);
-        assert_eq!(code, Some(2), "{arguments:?}: {error}");
-        assert!(error.contains(expected), "{arguments:?}: {error}");
+        folder.fails(arguments, &[expected]);
     }
 }

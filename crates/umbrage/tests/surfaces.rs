@@ -1,7 +1,6 @@
 //! Subdivision surfaces by each ray's footprint and at rates chosen once, against their mesh.
 
-use std::{fs, path::PathBuf, process::Command};
-use tempfile::TempDir;
+use umbrage_testkit::Folder;
 
 /// A cube with a sharp edge, on a ground of its own.
 const CUBE: &str = "v -1 -1 -1\nv 1 -1 -1\nv -1 1 -1\nv 1 1 -1\nv -1 -1 1\nv 1 -1 1\nv -1 1 1\nv 1 1 1\n\
@@ -25,66 +24,36 @@ mesh = { generator = "plane", width = 12, depth = 12 }
 translate = [0, -1, 0]
 "#;
 
-struct Folder(TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        let folder = Self(tempfile::tempdir().unwrap());
-        fs::write(folder.path("cube.obj"), CUBE).unwrap();
-        for mode in ["mesh", "once", "footprint"] {
-            fs::write(folder.path(&format!("{mode}.toml")), SCENE.replace("SURFACES", mode)).unwrap();
-        }
-        folder
+fn folder() -> Folder {
+    let folder = Folder::new(env!("CARGO_BIN_EXE_umbrage"), &[("cube.obj", CUBE)]);
+    for mode in ["mesh", "once", "footprint"] {
+        folder.write(&format!("{mode}.toml"), SCENE.replace("SURFACES", mode));
     }
+    folder
+}
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    /// Runs the program; its standard output, or exit code and standard error.
-    fn run(&self, arguments: &str) -> Result<String, (i32, String)> {
-        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-            .args(arguments.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap();
-        match output.status.success() {
-            true => Ok(String::from_utf8(output.stdout).unwrap()),
-            false => {
-                Err((output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned()))
-            }
-        }
-    }
-
-    fn json(&self, name: &str) -> serde_json::Value {
-        serde_json::from_slice(&fs::read(self.path(name)).unwrap()).unwrap()
-    }
-
-    /// RMSE of the layers beauty, shadow and ao.
-    fn errors(&self, a: &str, b: &str) -> [f64; 3] {
-        let text = self.run(&format!("compare {a} {b} --json")).unwrap();
-        let comparison: serde_json::Value = serde_json::from_str(&text).unwrap();
-        let layers = comparison["layers"].as_array().unwrap();
-        ["beauty", "shadow", "ao"].map(|name| {
-            let layer = layers.iter().find(|layer| layer["layer"] == name).unwrap();
-            layer["rmse"].as_f64().unwrap()
-        })
-    }
+/// RMSE of the layers beauty, shadow and ao.
+fn errors(folder: &Folder, a: &str, b: &str) -> [f64; 3] {
+    let comparison: serde_json::Value =
+        serde_json::from_str(&folder.ok(&format!("compare {a} {b} --json"))).unwrap();
+    let layers = comparison["layers"].as_array().unwrap();
+    ["beauty", "shadow", "ao"].map(|name| {
+        let layer = layers.iter().find(|layer| layer["layer"] == name).unwrap();
+        layer["rmse"].as_f64().unwrap()
+    })
 }
 
 #[test]
 fn surfaces_look_like_their_mesh_however_they_are_traced() {
-    let folder = Folder::new();
+    let folder = folder();
     for mode in ["mesh", "once", "footprint"] {
-        folder
-            .run(&format!(
-                "render {mode}.toml -o {mode}.exr --ao rays --stats {mode}.json --heatmap {mode}.png"
-            ))
-            .unwrap();
+        folder.ok(&format!(
+            "render {mode}.toml -o {mode}.exr --ao rays --stats {mode}.json --heatmap {mode}.png"
+        ));
     }
     // Micropolygons of a pixel: what differs are silhouettes and edges of shadows.
     for mode in ["once", "footprint"] {
-        let [beauty, shadow, ao] = folder.errors("mesh.exr", &format!("{mode}.exr"));
+        let [beauty, shadow, ao] = errors(&folder, "mesh.exr", &format!("{mode}.exr"));
         assert!(beauty < 0.01 && shadow < 0.01 && ao < 0.03, "{mode}: {beauty} {shadow} {ao}");
         assert!(beauty > 0.0, "{mode} is the mesh");
         let stats = folder.json(&format!("{mode}.json"));
@@ -100,40 +69,54 @@ fn surfaces_look_like_their_mesh_however_they_are_traced() {
 }
 
 #[test]
+fn a_small_cache_makes_grids_again_and_changes_no_bit() {
+    let folder = folder();
+    let fine = SCENE.replace("SURFACES", "footprint").replace("pixels = 1", "pixels = 0.1");
+    folder.write("fine.toml", fine);
+    folder.ok("render fine.toml -o large.exr --ao rays --stats large.json");
+    folder.ok("render fine.toml -o small.exr --ao rays --stats small.json --grid-cache 1");
+    assert_eq!(folder.bytes("large.exr"), folder.bytes("small.exr"));
+    let [large, small] = ["large.json", "small.json"].map(|name| folder.json(name)["surfaces"].clone());
+    assert_eq!(large["evicted"], 0);
+    let count = |stats: &serde_json::Value, key: &str| stats[key].as_u64().unwrap();
+    assert!(count(&small, "evicted") > 0, "{small}");
+    assert!(count(&small, "grids") > count(&large, "grids"), "{small} {large}");
+    assert!(count(&small, "bytes") < count(&large, "bytes"), "{small} {large}");
+    folder.fails("render fine.toml -o x.exr --grid-cache 0", &["grid-cache"]);
+}
+
+#[test]
 fn threads_shards_and_the_command_line_change_nothing() {
-    let folder = Folder::new();
-    folder.run("render footprint.toml -o one.exr --threads 1").unwrap();
-    folder.run("render mesh.toml --surfaces footprint -o two.exr --threads 3").unwrap();
-    assert_eq!(fs::read(folder.path("one.exr")).unwrap(), fs::read(folder.path("two.exr")).unwrap());
+    let folder = folder();
+    folder.ok("render footprint.toml -o one.exr --threads 1");
+    folder.ok("render mesh.toml --surfaces footprint -o two.exr --threads 3");
+    assert_eq!(folder.bytes("one.exr"), folder.bytes("two.exr"));
     for i in 1..=2 {
-        folder.run(&format!("render footprint.toml -o part{i}.exr --shard {i}/2")).unwrap();
+        folder.ok(&format!("render footprint.toml -o part{i}.exr --shard {i}/2"));
     }
-    folder.run("merge joined.exr part1.exr part2.exr").unwrap();
-    assert_eq!(fs::read(folder.path("one.exr")).unwrap(), fs::read(folder.path("joined.exr")).unwrap());
-    folder.run("render once.toml -o other.exr --shard 2/2").unwrap();
-    assert!(folder.run("merge bad.exr part1.exr other.exr").unwrap_err().1.contains("differ"));
+    folder.ok("merge joined.exr part1.exr part2.exr");
+    assert_eq!(folder.bytes("one.exr"), folder.bytes("joined.exr"));
+    folder.ok("render once.toml -o other.exr --shard 2/2");
+    folder.fails("merge bad.exr part1.exr other.exr", &["differ"]);
 }
 
 #[test]
 fn what_needs_triangles_says_so() {
-    let folder = Folder::new();
+    let folder = folder();
     for (arguments, words) in [
         ("render footprint.toml --shadows kd -o x.png", ["kd", "surfaces"]),
         ("render once.toml --ao mask -o x.png", ["mask", "surfaces"]),
         ("render mesh.toml --surfaces sometimes -o x.png", ["sometimes", "footprint"]),
     ] {
-        let (code, error) = folder.run(arguments).unwrap_err();
-        assert_eq!(code, 2, "{arguments}: {error}");
-        assert!(words.iter().all(|word| error.contains(word)), "{arguments}: {error}");
+        folder.fails(arguments, &words);
     }
     let veil = SCENE
         .replace("SURFACES", "footprint")
         .replace("[[lights]]", "[materials.default]\nopacity = 0.5\n[[lights]]");
-    fs::write(folder.path("veil.toml"), veil).unwrap();
-    let (code, error) = folder.run("render veil.toml -o x.png").unwrap_err();
-    assert!(code == 2 && error.contains("footprint") && error.contains("semi-transparent"), "{error}");
-    let text = folder.run("inspect footprint.toml").unwrap();
+    folder.write("veil.toml", veil);
+    folder.fails("render veil.toml -o x.png", &["footprint", "semi-transparent"]);
+    let text = folder.ok("inspect footprint.toml");
     assert!(text.contains("kd                      does not fit: subdivision surfaces"), "{text}");
     // A bake has no rays of a camera: its surfaces are meshes.
-    folder.run("bake footprint.toml -o ao.ply --rays 8").unwrap();
+    folder.ok("bake footprint.toml -o ao.ply --rays 8");
 }

@@ -87,7 +87,10 @@ impl Body {
         let traced = match (mode, subdivision.rate) {
             (SurfaceMode::Footprint, SubdivisionRate::Pixels(pixels)) => {
                 let surface = subdivide::traced_surface(subdivision).map_err(failed)?;
-                let options = TraceOptions::default().with_edge(pixels).with_max_level(subdivide::MAX_LEVEL);
+                let options = TraceOptions::default()
+                    .with_edge(pixels)
+                    .with_max_level(subdivide::MAX_LEVEL)
+                    .with_cache_bytes(scene.settings.grid_cache as usize * (1 << 20));
                 let tracer = SurfaceTracer::new(surface, &options).map_err(failed)?;
                 Traced::Footprint(tracer, Mutex::default())
             }

@@ -148,6 +148,7 @@ fn read_methods(methods: Fields<'_>, settings: &mut Settings) -> Result<(), Flaw
     }
     methods.whole_into("shadow_samples", 1..=MAX_SAMPLES, &mut settings.shadow_samples)?;
     methods.whole_into("ao_samples", 1..=MAX_SAMPLES, &mut settings.ao_samples)?;
+    methods.whole_into("grid_cache", 1..=Settings::MAX_GRID_CACHE, &mut settings.grid_cache)?;
     methods.finish()
 }
 

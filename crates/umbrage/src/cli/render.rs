@@ -40,6 +40,9 @@ pub struct RenderArguments {
     /// How subdivision surfaces are traced.
     #[arg(long, value_name = "MODE", value_parser = methods::modes::<SurfaceMode>())]
     surfaces: Option<SurfaceMode>,
+    /// MiB of grids that --surfaces footprint keeps; others are made again when a ray comes. The image does not depend on it.
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u32).range(1..=i64::from(Settings::MAX_GRID_CACHE)))]
+    grid_cache: Option<u32>,
     /// Camera samples a pixel.
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
@@ -153,6 +156,7 @@ fn override_settings(settings: &mut Settings, arguments: &RenderArguments) {
     if let Some(mode) = arguments.surfaces {
         settings.surfaces = mode.to_string();
     }
+    settings.grid_cache = arguments.grid_cache.unwrap_or(settings.grid_cache);
     if let Some(method) = arguments.ao {
         settings.ao = method.to_string();
     }
