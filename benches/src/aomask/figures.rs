@@ -70,7 +70,7 @@ fn table2(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
             let different = answer.masks.iter().zip(&all.masks).filter(|(a, b)| a != b).count();
             row.counters["different_words"] = json!(different);
             row.counters["fragments_relative"] =
-                json!(answer.counters.lookups as f64 / all.counters.lookups as f64);
+                json!(answer.counters.fragment_masks as f64 / all.counters.fragment_masks as f64);
             row.speedup = median(&all.times) / median(&answer.times);
             row.baseline = "all-tests";
             row.counters["paper_fragments_relative"] = json!(paper[which][0]);

@@ -5,9 +5,10 @@ use crate::rows::{Row, median};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::{path::Path, time::Instant};
+use umbrage_accel::Counters;
 use umbrage_aomask::{
     MaskOptions, MaskTables, Outputs, Pattern, RasterLevel, RasterOptions, RasterView, Receiver,
-    TableOptions, raster::RasterCounters, rasterize,
+    TableOptions, rasterize,
 };
 use umbrage_geom::{glam::Vec3, sampling::combine};
 
@@ -28,7 +29,7 @@ pub struct Answer {
     pub ao: Vec<f32>,
     pub masks: Vec<u64>,
     pub times: Vec<f64>,
-    pub counters: RasterCounters,
+    pub counters: Counters,
 }
 
 impl Picture {
@@ -60,7 +61,7 @@ impl Picture {
             ao: vec![0.0; self.points.len()],
             masks: vec![0; self.points.len() * tables.pattern().words()],
             times: Vec::new(),
-            counters: RasterCounters::default(),
+            counters: Counters::default(),
         };
         for _ in 0..passes {
             let start = Instant::now();
@@ -138,8 +139,8 @@ pub fn row(case: &Case, picture: &Picture, pattern: &Pattern, answer: &Answer, p
             "prisms": counters.prisms,
             "billboards": counters.billboards,
             "fragments": counters.fragments,
-            "fragments_after": counters.after,
-            "lookups": counters.lookups,
+            "fragments_after": counters.fragments_after,
+            "lookups": counters.fragment_masks,
         }),
         baseline: "rays",
         speedup: 0.0,

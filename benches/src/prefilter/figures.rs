@@ -129,7 +129,7 @@ impl Levels {
 }
 
 impl Statistics for Levels {
-    fn ends(&mut self, node: u32, slots: u32) {
+    fn ended_at_node(&mut self, node: u32, slots: u32) {
         let ends = u64::from(slots.count_ones());
         self.ends += ends;
         self.sum += ends * u64::from(self.of_node[node as usize]);

@@ -11,7 +11,7 @@ use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters};
 use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, exact};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3};
-use umbrage_occlusion::volumetric::{Ends, SolidBvh, SolidBvhOptions, SolidCounters};
+use umbrage_occlusion::volumetric::{Ends, SolidBvh, SolidBvhOptions};
 
 /// Closed meshes, on a ground.
 const MESHES: [&str; 3] = ["bunny_60k", "armadillo_86k", "dragon_871k"];
@@ -139,11 +139,11 @@ fn measure(
             words[receiver * pattern.words() + ray / 64] >> (ray % 64) & 1 == 1
         })
         .collect();
-    let (mut walk, mut counted) = (Counters::default(), SolidCounters::default());
+    let (mut walk, mut counted) = (Counters::default(), Counters::default());
     let mut scratch = built.solid.scratch();
     for ray in &rays {
         built.bvh.any_hit_with(ray, &mut walk);
-        built.solid.any_hit_counted(ray, Ends::Unknown, None, &mut scratch, &mut counted);
+        built.solid.any_hit_with(ray, Ends::Unknown, None, &mut scratch, &mut counted);
     }
     let occluded = hits[0].iter().filter(|&&hit| hit).count();
     for (i, method) in METHODS.into_iter().enumerate() {
@@ -154,8 +154,8 @@ fn measure(
             counters["nodes"] = json!(walk.nodes);
             counters["triangle_tests"] = json!(walk.triangle_tests);
         } else if i == 1 {
-            counters["nodes"] = json!(counted.walk.nodes);
-            counters["triangle_tests"] = json!(counted.walk.triangle_tests);
+            counters["nodes"] = json!(counted.nodes);
+            counters["triangle_tests"] = json!(counted.triangle_tests);
             counters["occluder_hits"] = json!(counted.solid_hits);
         }
         let time_s = median(&times[i]);

@@ -5,10 +5,10 @@ use crate::rows::{Timed, median};
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::{sync::Arc, time::Instant};
-use umbrage_accel::{BuildOptions, Bvh, KdTree, kdtree::Order};
+use umbrage_accel::{BuildOptions, Bvh, Counters, KdTree, Statistics, kdtree::Order};
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
-    SolidBvhOptions, SolidCounters, Solids, Statistics,
+    Classifier, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
+    SolidBvhOptions, Solids,
 };
 use umbrage_query::{
     Engine, Occluders,
@@ -273,7 +273,7 @@ impl Caster<'_> {
                     .iter()
                     .zip(hits)
                     .for_each(|(ray, hit)| *hit = kd.any_hit_with(ray, &query, &mut scratch, stats)),
-                _ => kd.any_hits_in_packets(rays, hits, &query, &mut scratch, stats),
+                _ => kd.any_hits_with(rays, hits, &query, &mut scratch, stats),
             }
         }
     }
@@ -296,8 +296,8 @@ impl Caster<'_> {
     /// An empty tally.
     pub fn tally(&self) -> Tally {
         match self.kind {
-            Kind::Bvh(_) | Kind::Renderer(_) => Tally::Bvh(umbrage_accel::Counters::default()),
-            Kind::Solid(..) => Tally::Solid(SolidCounters::default()),
+            Kind::Bvh(_) | Kind::Renderer(_) => Tally::Bvh(Counters::default()),
+            Kind::Solid(..) => Tally::Solid(Counters::default()),
             Kind::Kd(..) => Tally::Kd(Counters::default()),
         }
     }
@@ -315,7 +315,7 @@ impl Caster<'_> {
                 for (light, range) in shadows.runs(false) {
                     let light = light.filter(|_| remembered);
                     for ray in &shadows.rays[range] {
-                        solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, counters);
+                        solid.any_hit_with(ray, Ends::Unknown, light, &mut scratch, counters);
                     }
                 }
             }
@@ -339,9 +339,9 @@ impl Caster<'_> {
                 let forecast = solid.forecast(&lights);
                 let value = json!({
                     "counted_rays": rays,
-                    "nodes": counters.walk.nodes,
-                    "triangle_tests": counters.walk.triangle_tests,
-                    "box_tests": counters.walk.box_tests,
+                    "nodes": counters.nodes,
+                    "triangle_tests": counters.triangle_tests,
+                    "box_tests": counters.box_tests,
                     "occluders": solid.occluders().len(),
                     "packs": solid.pack_count(),
                     "forecast_triangles": forecast.triangles,
@@ -350,7 +350,7 @@ impl Caster<'_> {
                     "forecast_occurrence": forecast.occurrence,
                     "forecast_pays": forecast.pays(),
                     "occluder_hits": counters.solid_hits,
-                    "cache_hits": counters.first_hits,
+                    "cache_hits": counters.remembered_hits,
                     "generators": solid.generator_count(),
                 });
                 (Counters::default(), value)
@@ -359,8 +359,8 @@ impl Caster<'_> {
                 let lanes = if self.call == Call::Single { 1.0 } else { 4.0 };
                 let value = json!({
                     "counted_rays": rays,
-                    "nodes": c.kd.steps,
-                    "triangle_tests": c.kd.triangle_tests,
+                    "nodes": c.nodes,
+                    "triangle_tests": c.triangle_tests,
                     "box_tests": c.box_tests,
                     "occluders": kd.occluders().len(),
                     "grown": kd.grown().len(),
@@ -371,8 +371,8 @@ impl Caster<'_> {
                     "cache_hits": c.cache_hits,
                     "cache_hit_rate": c.cache_hits as f64 / c.cache_lookups.max(1) as f64,
                     "mean_occluder_area": c.cell_area / c.cell_hits.max(1) as f64,
-                    "packet_use": c.kd.active as f64 / (lanes * c.kd.steps.max(1) as f64),
-                    "packet_use_at_leaves": c.kd.active_leaves as f64 / (lanes * c.kd.leaves.max(1) as f64),
+                    "packet_use": c.rays_at_nodes as f64 / (lanes * c.nodes.max(1) as f64),
+                    "packet_use_at_leaves": c.rays_at_leaves as f64 / (lanes * c.leaves.max(1) as f64),
                 });
                 (*c, value)
             }
@@ -393,7 +393,7 @@ fn run_method(
     method: &dyn Engine,
     shadows: &Shadows,
     hits: &mut [bool],
-    mut counters: Option<&mut umbrage_accel::Counters>,
+    mut counters: Option<&mut Counters>,
 ) {
     let (mut rays, mut passed) = (Vec::new(), Vec::new());
     for fan in &shadows.fans {
@@ -412,8 +412,8 @@ fn run_method(
 
 /// Work of a caster over parts of an image.
 pub enum Tally {
-    Bvh(umbrage_accel::Counters),
-    Solid(SolidCounters),
+    Bvh(Counters),
+    Solid(Counters),
     Kd(Counters),
 }
 

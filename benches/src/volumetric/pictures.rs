@@ -4,9 +4,9 @@ use super::{Case, scene::Shadows};
 use anyhow::{Context, Result};
 use image::{Rgb, RgbImage};
 use std::{fmt::Write as _, path::Path};
-use umbrage_accel::kdtree::Order;
+use umbrage_accel::{Counters, kdtree::Order};
 use umbrage_geom::{Aabb, TriangleMesh};
-use umbrage_occlusion::volumetric::{Counters, Ends, Query, Scratch};
+use umbrage_occlusion::volumetric::{Ends, Query, Scratch};
 
 /// Pixels along a side.
 const SIDE: u32 = 512;
@@ -71,7 +71,7 @@ fn work(case: &Case, shadows: &Shadows, order: Order, occluders: bool) -> Vec<Pi
             case.structures.kd.any_hit_with(ray, &query, &mut scratch, &mut c);
         }
         let pixel = &mut pixels[fan.pixel as usize];
-        pixel.operations += (c.kd.steps + c.kd.triangle_tests) as f64;
+        pixel.operations += (c.nodes + c.triangle_tests) as f64;
         pixel.lit += c.misses as f64;
         pixel.ended += c.cell_hits as f64;
         pixel.seen = true;

@@ -306,15 +306,20 @@ impl Bvh {
     }
 
     /// [`Self::any_hit`] of a ray that may end at boxes inside of solids: what `solids` says of them is believed.
-    pub fn any_hit_among(&self, ray: &Ray, solids: &mut impl Solids, stats: &mut impl Statistics) -> bool {
+    pub fn any_hit_among_with(
+        &self,
+        ray: &Ray,
+        solids: &mut impl Solids,
+        stats: &mut impl Statistics,
+    ) -> bool {
         kernel::run(self.back_end, AnyHitAmong { bvh: self, ray, solids, stats })
     }
 
-    /// [`Self::any_hit_among`] of each ray, on this thread alone; those of one origin that follow each other walk together.
+    /// [`Self::any_hit_among_with`] of each ray, on this thread alone; those of one origin that follow each other walk together.
     ///
     /// # Panics
     /// If the slices differ in length.
-    pub fn any_hits_among(
+    pub fn any_hits_among_with(
         &self,
         rays: &[Ray],
         hits: &mut [bool],
@@ -366,7 +371,7 @@ impl Bvh {
 
     /// Walks `rays` for a goal of the caller's: those of one origin that follow each other together, [`FAN`](crate::FAN) at
     /// most, others alone, [`WALKS`](crate::WALKS) fans in turn; on this thread.
-    pub fn walk_fans(&self, rays: &[Ray], goal: &mut impl FanGoal, stats: &mut impl Statistics) {
+    pub fn walk_fans_with(&self, rays: &[Ray], goal: &mut impl FanGoal, stats: &mut impl Statistics) {
         kernel::run(self.back_end, WalkFans { bvh: self, rays, goal, stats });
     }
 

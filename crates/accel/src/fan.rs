@@ -320,7 +320,7 @@ impl Walk {
                 &mut covered,
             );
             if slots != 0 {
-                stats.ends(index, slots);
+                stats.ended_at_node(index, slots);
                 let ray = FanRay { index: self.first + r, walk, column: r };
                 self.alive &= !(u32::from(goal.end(ray, &node.note, slots, &covered)) << r);
             }

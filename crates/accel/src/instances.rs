@@ -281,7 +281,12 @@ impl InstancedBvh {
     }
 
     /// [`Self::any_hit`] of a ray that may end inside of instances.
-    pub fn any_hit_among(&self, ray: &Ray, insides: &mut impl Insides, stats: &mut impl Statistics) -> bool {
+    pub fn any_hit_among_with(
+        &self,
+        ray: &Ray,
+        insides: &mut impl Insides,
+        stats: &mut impl Statistics,
+    ) -> bool {
         kernel::run(self.back_end, AnyHitAmong { this: self, ray, insides, stats })
     }
 
@@ -461,7 +466,7 @@ impl InstancedBvh {
     }
 }
 
-/// Solid boxes of the hierarchies below, each in its own space ([`InstancedBvh::any_hit_among`]).
+/// Solid boxes of the hierarchies below, each in its own space ([`InstancedBvh::any_hit_among_with`]).
 pub trait Insides {
     /// Those of one hierarchy.
     type Solids<'s>: Solids

@@ -48,7 +48,7 @@ impl SolidPack {
     }
 }
 
-/// The owner of boxes that end rays ([`crate::Bvh::any_hit_among`]).
+/// The owner of boxes that end rays ([`crate::Bvh::any_hit_among_with`]).
 ///
 /// A node whose [`crate::Note::index`] is not 0 has the pack of that index, which rays meet before the node's children.
 pub trait Solids {

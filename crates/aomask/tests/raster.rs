@@ -3,9 +3,10 @@
 mod common;
 
 use common::*;
+use umbrage_accel::Counters;
 use umbrage_aomask::{
     MaskError, MaskOptions, MaskTables, Outputs, Pattern, RasterCamera, RasterLevel, RasterOptions,
-    RasterView, Sides, TableOptions, raster::RasterCounters, rasterize,
+    RasterView, Sides, TableOptions, rasterize,
 };
 use umbrage_geom::{Falloff, Ray, TriangleMesh, glam::Vec3, offset_origin};
 
@@ -51,7 +52,7 @@ impl Picture {
         levels: &[RasterLevel<'_>],
         options: &MaskOptions,
         raster: &RasterOptions,
-    ) -> (Vec<u64>, RasterCounters) {
+    ) -> (Vec<u64>, Counters) {
         let mut ao = vec![f32::NAN; self.points.0.len()];
         let mut masks = vec![!0; ao.len() * tables.pattern().words()];
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
@@ -151,16 +152,16 @@ fn culling_tests_change_the_work_only() {
     for (tests, (masks, counters)) in all.iter().enumerate() {
         assert_eq!(masks, &all[5].0);
         assert_eq!(counters.fragments, all[5].1.fragments);
-        let expected = if tests == 0 { counters.fragments } else { counters.after[tests - 1] };
-        assert_eq!(counters.lookups, expected, "{tests}");
+        let expected = if tests == 0 { counters.fragments } else { counters.fragments_after[tests - 1] };
+        assert_eq!(counters.fragment_masks, expected, "{tests}");
     }
-    let after = all[5].1.after;
+    let after = all[5].1.fragments_after;
     assert!(
         after.windows(2).all(|pair| pair[0] >= pair[1]) && after[4] < all[5].1.fragments / 2,
         "{after:?}"
     );
     // The first five rows of the table are counted whichever tests are used, save where early ones end the work.
-    assert_eq!(all[5].1.after, all[2].1.after);
+    assert_eq!(all[5].1.fragments_after, all[2].1.fragments_after);
 }
 
 #[test]
@@ -240,5 +241,5 @@ fn bad_views_and_levels_are_named() {
     let mut nothing = [];
     let counters =
         rasterize(&tables, &[level], &none, &options, &raster, Outputs::new(&mut nothing), &mut |_| true);
-    assert_eq!(counters, Ok(RasterCounters::default()));
+    assert_eq!(counters, Ok(Counters::default()));
 }

@@ -6,14 +6,12 @@ use proptest::prelude::*;
 use rayon::prelude::*;
 use solids::{Aim, Part, aim, mesh, part, segments};
 use std::sync::Arc;
-use umbrage_accel::{BuildOptions, Bvh, InstancedBvh, Placement, brute};
+use umbrage_accel::{BuildOptions, Bvh, Counters, InstancedBvh, Placement, brute};
 use umbrage_geom::{
     Ray,
     glam::{Affine3A, EulerRot, Mat3A, Quat, Vec3, Vec3A},
 };
-use umbrage_occlusion::volumetric::{
-    Ends, LazySolidBvh, Object, SolidBvhOptions, SolidCounters, SolidInstances,
-};
+use umbrage_occlusion::volumetric::{Ends, LazySolidBvh, Object, SolidBvhOptions, SolidInstances};
 
 /// Turned, stretched, sheared, mirrored.
 fn transform() -> impl Strategy<Value = Affine3A> {
@@ -78,7 +76,7 @@ proptest! {
             built.iter().zip(&bvhs).map(|((mesh, objects), bvh)| lazy(bvh, mesh, objects)).collect(),
         );
         prop_assert_eq!(solid.prepared().prepared, 0);
-        let mut counters = SolidCounters::default();
+        let mut counters = Counters::default();
         let mut scratch = solid.scratch();
         // Twice: with boxes that are just being made, and with all of them.
         for _ in 0..2 {
@@ -86,7 +84,7 @@ proptest! {
                 let expected = top.any_hit(ray);
                 prop_assert_eq!(expected, brute::closest_instance_hit(&views, &placements, ray).is_some());
                 prop_assert_eq!(solid.any_hit(ray, &mut scratch), expected, "{:?}", ray);
-                prop_assert_eq!(solid.any_hit_counted(ray, &mut scratch, &mut counters), expected);
+                prop_assert_eq!(solid.any_hit_with(ray, &mut scratch, &mut counters), expected);
             }
         }
         let prepared = solid.prepared();
@@ -134,12 +132,12 @@ fn objects_that_no_ray_reaches_are_not_prepared() {
     let lazy = lazy(&bvh, &mesh, &objects);
     let mut scratch = lazy.scratch();
     assert_eq!((lazy.prepared().objects, lazy.prepared().prepared), (12, 0));
-    let mut counters = SolidCounters::default();
+    let mut counters = Counters::default();
     for i in [4, 7, 5] {
         for ray in on_to(i) {
             let expected = bvh.any_hit(&ray);
             assert_eq!(
-                lazy.any_hit_counted(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters),
+                lazy.any_hit_with(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters),
                 expected
             );
         }
@@ -149,7 +147,7 @@ fn objects_that_no_ray_reaches_are_not_prepared() {
     assert_eq!((prepared.prepared, prepared.generators), (3, 2));
     assert!(prepared.boxes > 20 && counters.solid_hits > 90, "{prepared:?} {counters:?}");
     // A ray past all of them.
-    assert!(!lazy.any_hit_counted(
+    assert!(!lazy.any_hit_with(
         &Ray::between([-9.0, 2.0, 0.0], [90.0, 2.0, 0.0]),
         Ends::Unknown,
         None,
@@ -201,15 +199,15 @@ fn instances_share_what_their_mesh_has() {
     placements[20].world_from_object.translation.y = -50.0;
     let top = InstancedBvh::build(bvhs.clone(), &placements).unwrap();
     let solid = SolidInstances::new(&top, vec![lazy(&bvhs[0], &ball, &one), lazy(&bvhs[1], &other, &two)]);
-    let (mut scratch, mut counters) = (solid.scratch(), SolidCounters::default());
+    let (mut scratch, mut counters) = (solid.scratch(), Counters::default());
     for i in 0..20 {
         let x = 4.0 * i as f32;
         for k in 0..20 {
             let through = Ray::between([x + 0.04 * k as f32 - 0.4, 3.0, 0.1], [x, -3.0, 0.0]);
-            assert!(solid.any_hit_counted(&through, &mut scratch, &mut counters));
+            assert!(solid.any_hit_with(&through, &mut scratch, &mut counters));
             // A light inside of the instance, seen from inside.
             let inside = Ray::between([x + 0.02 * k as f32 - 0.2, 0.5, 0.1], [x, -0.5, 0.0]);
-            assert!(!solid.any_hit_counted(&inside, &mut scratch, &mut counters));
+            assert!(!solid.any_hit_with(&inside, &mut scratch, &mut counters));
         }
     }
     let prepared = solid.prepared();

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use solids::{Aim, Mesh, Part, aim, cube, mesh, part, segments, sphere};
 use std::sync::Arc;
 use umbrage_accel::{
-    BackEnd, BuildOptions, Bvh, brute,
+    BackEnd, BuildOptions, Bvh, Counters, brute,
     kdtree::{KdOptions, LeafState, Order, Search},
 };
 use umbrage_geom::{
@@ -14,8 +14,8 @@ use umbrage_geom::{
     glam::{DVec3, Vec3},
 };
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, ShadowRays,
-    SolidBvh, SolidBvhOptions, SolidCounters, SolidOptions,
+    Classifier, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, ShadowRays, SolidBvh,
+    SolidBvhOptions, SolidOptions,
 };
 
 fn orders() -> Vec<Order> {
@@ -55,7 +55,7 @@ proptest! {
                     let single: Vec<bool> = rays.iter().map(|ray| built.any_hit(ray, &query, &mut scratch)).collect();
                     prop_assert_eq!(&single, &truth, "{:?} {:?}", query, back_end);
                     let mut packets = vec![false; rays.len()];
-                    built.any_hits_in_packets(&rays, &mut packets, &query, &mut scratch, &mut ());
+                    built.any_hits(&rays, &mut packets, &query, &mut scratch);
                     prop_assert_eq!(&packets, &truth, "{:?} {:?}", query, back_end);
                     // Where an end is outside for certain, saying so changes nothing.
                     for (ray, &hit) in rays.iter().zip(&truth) {
@@ -269,22 +269,22 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
         let farthest = aabb.min.abs().max(aabb.max.abs());
         assert!(farthest.length() < 1.0, "{aabb:?}");
     }
-    let (mut scratch, mut counters) = (built.scratch(), SolidCounters::default());
+    let (mut scratch, mut counters) = (built.scratch(), Counters::default());
     for i in 0..200 {
         let angle = i as f32 * 0.1;
         let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
         let ray = Ray::between(from, -from * 1.1);
-        assert!(built.any_hit_counted(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters));
+        assert!(built.any_hit_with(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters));
         let inside = Ray::between(from * 0.1, -from * 0.1);
         assert!(!built.any_hit(&inside, Ends::Unknown, Some(0), &mut scratch));
     }
-    assert!(counters.solid_hits == 200 && counters.first_hits > 150, "{counters:?}");
+    assert!(counters.solid_hits == 200 && counters.remembered_hits > 150, "{counters:?}");
     // Once there are many lights none has boxes of its own.
-    let (ray, own) = (Ray::between([3.0, 0.0, 0.0], [-3.0, 0.1, 0.0]), counters.first_hits);
+    let (ray, own) = (Ray::between([3.0, 0.0, 0.0], [-3.0, 0.1, 0.0]), counters.remembered_hits);
     for light in [20, 0] {
-        assert!(built.any_hit_counted(&ray, Ends::Unknown, Some(light), &mut scratch, &mut counters));
+        assert!(built.any_hit_with(&ray, Ends::Unknown, Some(light), &mut scratch, &mut counters));
     }
-    assert!(counters.solid_hits == 202 && counters.first_hits == own, "{counters:?}");
+    assert!(counters.solid_hits == 202 && counters.remembered_hits == own, "{counters:?}");
     // An open one, from inside through the hole.
     let mesh = bowl(0.9);
     let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());

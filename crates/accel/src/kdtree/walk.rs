@@ -7,7 +7,7 @@
 //! clips its interval to both halves of a node on its own, so packets need no common direction.
 
 use super::{KdTree, LeafState, node::Node};
-use crate::kernel::Kernel;
+use crate::{Statistics, kernel::Kernel};
 use umbrage_geom::{
     Ray, SlabRay,
     kernel::{BlockRay, LANES},
@@ -117,58 +117,6 @@ impl Cells for () {
     #[inline(always)]
     fn blocks(&mut self, _: u32, _: usize, _: &SlabRay) -> bool {
         false
-    }
-}
-
-/// Watches traversals. Every method does nothing unless overridden, so that `&mut ()` costs nothing.
-pub trait KdStatistics {
-    /// A node was visited with `active` of the `lanes` of a packet.
-    #[inline(always)]
-    fn step(&mut self, active: u32, lanes: u32, is_leaf: bool) {
-        let _ = (active, lanes, is_leaf);
-    }
-
-    /// A ray was tested against `tests` triangles.
-    #[inline(always)]
-    fn triangles(&mut self, tests: u32) {
-        let _ = tests;
-    }
-}
-
-impl KdStatistics for () {}
-
-/// Totals over traversals.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct KdCounters {
-    /// Nodes visited, by packets or single rays.
-    pub steps: u64,
-    /// Leaves among them.
-    pub leaves: u64,
-    /// Rays that wanted the nodes visited.
-    pub active: u64,
-    /// Rays that wanted the leaves visited.
-    pub active_leaves: u64,
-    /// Rays that could have, in full packets.
-    pub lanes: u64,
-    /// Triangles tested.
-    pub triangle_tests: u64,
-}
-
-impl KdStatistics for KdCounters {
-    #[inline]
-    fn step(&mut self, active: u32, lanes: u32, is_leaf: bool) {
-        self.steps += 1;
-        self.active += u64::from(active);
-        self.lanes += u64::from(lanes);
-        if is_leaf {
-            self.leaves += 1;
-            self.active_leaves += u64::from(active);
-        }
-    }
-
-    #[inline]
-    fn triangles(&mut self, tests: u32) {
-        self.triangle_tests += u64::from(tests);
     }
 }
 
@@ -286,7 +234,7 @@ struct Walk<'a, const N: usize, K, S> {
     solid: u32,
 }
 
-impl<const N: usize, K: Kernel, S: KdStatistics> Walk<'_, N, K, S> {
+impl<const N: usize, K: Kernel, S: Statistics> Walk<'_, N, K, S> {
     /// Tests the triangles of a leaf.
     #[inline(always)]
     fn test(&mut self, node: Node, lanes: u32) {
@@ -377,7 +325,7 @@ const QUICK: u8 = 3;
 
 /// What blocks each ray.
 #[inline(always)]
-pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
+pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: Statistics>(
     kernel: K,
     tree: &KdTree,
     rays: [&Ray; N],
@@ -411,7 +359,7 @@ pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
 }
 
 #[inline(always)]
-fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: KdStatistics>(
+fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: Statistics>(
     mut walk: Walk<N, K, S>,
     mut entry: Entry<N>,
     order: Order,
@@ -427,7 +375,7 @@ fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: KdStatistics
         let lanes = entry.lanes() & walk.alive;
         if lanes != 0 {
             let node = tree.nodes[entry.node as usize];
-            walk.stats.step(lanes.count_ones(), N as u32, node.is_leaf());
+            walk.stats.kd_node(lanes.count_ones(), N as u32, node.is_leaf());
             if node.is_leaf() {
                 walk.leaf(entry.node, lanes, order, cells, deferred);
             } else {

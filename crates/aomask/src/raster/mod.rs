@@ -23,7 +23,6 @@ pub use camera::RasterCamera;
 pub use lod::{RasterLevel, RasterOptions};
 #[cfg(feature = "simplify")]
 pub use simplify::{SimplifiedLevel, simplified_levels};
-pub use tile::RasterCounters;
 
 use crate::{
     MaskError, MaskOptions, MaskTables, Outputs, Receiver,
@@ -31,6 +30,7 @@ use crate::{
     table::TableSet,
 };
 use tile::{Draw, Level, Scratch, Setting, TILE, Tile};
+use umbrage_accel::Counters;
 use umbrage_geom::{Aabb, Progress, glam::Vec3, sampling::combine};
 
 /// An image of receivers.
@@ -107,7 +107,7 @@ pub fn rasterize(
     raster: &RasterOptions,
     mut outputs: Outputs<'_>,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<RasterCounters, MaskError> {
+) -> Result<Counters, MaskError> {
     let pattern = tables.pattern();
     options.validate_for_tables(pattern)?;
     outputs.validate_for_tables()?;
@@ -149,10 +149,7 @@ struct Reach {
 }
 
 impl<const W: usize> Raster<'_, W> {
-    fn run(
-        &self,
-        progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(Vec<u64>, RasterCounters), MaskError> {
+    fn run(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<(Vec<u64>, Counters), MaskError> {
         let size = [self.view.width as usize, self.view.height as usize];
         let [columns, rows] = size.map(|n| n.div_ceil(TILE));
         let setting = Setting {
@@ -177,7 +174,7 @@ impl<const W: usize> Raster<'_, W> {
         });
         let words = self.tables.pattern().words();
         let mut masks = vec![0; size[0] * size[1] * words];
-        let mut counters = RasterCounters::default();
+        let mut counters = Counters::default();
         for tile in tiles {
             let (tile, tile_masks, tile_counters) = tile?;
             counters += tile_counters;
@@ -199,12 +196,12 @@ impl<const W: usize> Raster<'_, W> {
         [column, row]: [usize; 2],
         reaches: &[Vec<Reach>],
         bands: &[Vec<Vec<u32>>],
-    ) -> (Tile, Vec<[u64; W]>, RasterCounters) {
+    ) -> (Tile, Vec<[u64; W]>, Counters) {
         let at = [column * TILE, row * TILE];
         let pattern = self.tables.pattern();
         let tile = Tile::new(at, setting.size, self.receivers, pattern, &setting.camera);
         let mut masks = vec![[0; W]; tile.stride() * tile.height];
-        let mut counters = RasterCounters::default();
+        let mut counters = Counters::default();
         let mut scratch = Scratch::default();
         if tile.near < f64::INFINITY {
             for ((level, reaches), bands) in self.levels.iter().zip(reaches).zip(bands) {

@@ -8,12 +8,10 @@ mod edge;
 mod lanes;
 mod node_mask;
 mod plane;
-mod statistics;
 mod traversal;
 mod triangle_mask;
 
 pub use node_mask::NodeMasks;
-pub use statistics::{TableCounters, TableStatistics};
 
 pub(crate) use lanes::{F8, V8};
 pub(crate) use triangle_mask::{TriangleTables, Triangles};
@@ -27,7 +25,7 @@ use edge::EdgeTable;
 use node_mask::{NodeLookup, Silhouettes};
 use plane::PlaneTable;
 use traversal::{Scene, Stack};
-use umbrage_accel::Bvh;
+use umbrage_accel::{Bvh, Counters, Statistics};
 use umbrage_geom::{glam::Vec3, simd::Job};
 
 /// Cells along each side of the cube map of silhouettes.
@@ -265,9 +263,9 @@ impl MaskTables {
         bvh: &Bvh,
         receivers: &[Receiver],
         options: &MaskOptions,
-    ) -> Result<TableCounters, MaskError> {
+    ) -> Result<Counters, MaskError> {
         options.validate_for_tables(&self.pattern)?;
-        let mut counters = TableCounters::default();
+        let mut counters = Counters::default();
         with_set!(&self.tables, set => {
             let scene = self.scene(set, bvh, options);
             let mut masks = vec![0; receivers.len() * self.pattern.words()];
@@ -356,7 +354,7 @@ struct Counted<'a, 's, const W: usize, S> {
     stats: &'a mut S,
 }
 
-impl<const W: usize, S: TableStatistics> Job for Counted<'_, '_, W, S> {
+impl<const W: usize, S: Statistics> Job for Counted<'_, '_, W, S> {
     type Output = ();
 
     #[inline(always)]

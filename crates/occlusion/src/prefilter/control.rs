@@ -31,7 +31,7 @@ impl Statistics for Steps {
         self.0 += 0.5;
     }
 
-    fn ends(&mut self, _: u32, _: u32) {
+    fn ended_at_node(&mut self, _: u32, _: u32) {
         self.0 += 0.5;
     }
 }

@@ -1,7 +1,7 @@
 //! A ray with a solid angle through the hierarchy (`[Lacewell08]`, Algorithm 1, by the node instead of by the box).
 //!
 //! Here: which children of a node end which rays of a fan, and what rays lose. Not here: the walk itself
-//! ([`Bvh::walk_fans`]), opacities (`opacity.rs`).
+//! ([`Bvh::walk_fans_with`]), opacities (`opacity.rs`).
 //!
 //! Departures: children are composited by adding optical depths; nothing is interpolated between levels, see
 //! [`super::Blend`]; a node crossed in part dims in part; the ray ends where 10 bits are lost.
@@ -64,7 +64,7 @@ impl<V: Copy + Default> Fan<V> {
     }
 }
 
-/// Answers cones through [`Bvh::walk_fans`].
+/// Answers cones through [`Bvh::walk_fans_with`].
 pub(crate) struct Answer<'a, T: Table> {
     pub(crate) bvh: &'a Bvh,
     pub(crate) depths: &'a Depths,
@@ -90,7 +90,7 @@ impl<'a, T: Table> Answer<'a, T> {
     /// Walks all cones.
     pub(crate) fn run(mut self, stats: &mut impl Statistics) {
         let rays: Vec<Ray> = self.cones.iter().map(|cone| cone.ray).collect();
-        self.bvh.walk_fans(&rays, &mut self, stats);
+        self.bvh.walk_fans_with(&rays, &mut self, stats);
     }
 }
 

@@ -179,7 +179,7 @@ impl Prefiltered {
         self.bvh.prim_count()
     }
 
-    /// Nodes by level, the root's first: what [`Statistics::ends`] names.
+    /// Nodes by level, the root's first: what [`Statistics::ended_at_node`] names.
     pub fn levels(&self) -> Vec<Vec<u32>> {
         levels(&self.bvh)
     }

@@ -1,12 +1,12 @@
 //! Shadow rays through a kd-tree whose opaque cells end them.
 
 use super::{
-    BoxPack, Classifier, Ends, Object, OccluderCache, SolidOptions, Solids, Statistics, classify,
+    BoxPack, Classifier, Ends, Object, OccluderCache, SolidOptions, Solids, classify,
     ends::{is_outside, region_is_outside},
     grown,
 };
 use umbrage_accel::{
-    BackEnd, BuildError, KdTree,
+    BackEnd, BuildError, KdTree, Statistics,
     kdtree::{Blocker, Cells, KdOptions, KdScratch, Order, Start},
 };
 use umbrage_geom::{Aabb, Ray, SlabRay};
@@ -212,7 +212,15 @@ impl KdVolumetric {
     ///
     /// # Panics
     /// If the slices differ in length.
-    pub fn any_hits_in_packets(
+    pub fn any_hits(&self, rays: &[Ray], hits: &mut [bool], query: &Query, scratch: &mut Scratch) {
+        self.any_hits_with(rays, hits, query, scratch, &mut ());
+    }
+
+    /// [`Self::any_hits`], counted.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn any_hits_with(
         &self,
         rays: &[Ray],
         hits: &mut [bool],
@@ -246,12 +254,12 @@ impl KdVolumetric {
                 self.walk_guided(rays, query, scratch, cache, stats)
             } else {
                 let mut cells = Occluders { this: self, ends: query.ends, cache, events: Events::default() };
-                let found = self.tree.blockers(rays, query.order, &mut cells, scratch, stats);
+                let found = self.tree.blockers_with(rays, query.order, &mut cells, scratch, stats);
                 cells.events.report(stats);
                 found
             }
         } else {
-            self.tree.blockers(rays, Order::RAY, &mut (), scratch, stats)
+            self.tree.blockers_with(rays, Order::RAY, &mut (), scratch, stats)
         };
         for (&ray, &blocker) in rays.iter().zip(&found) {
             match blocker {
@@ -275,12 +283,12 @@ impl KdVolumetric {
         let found = if cache.as_ref().is_some_and(|cache| cache.blocked) {
             let (cache, events) = (cache.as_deref_mut(), Events::default());
             let mut cells = Guided { this: self, rays: &rays, ends: query.ends, cache, events };
-            let found = self.tree.blockers(rays, query.order, &mut cells, scratch, stats);
+            let found = self.tree.blockers_with(rays, query.order, &mut cells, scratch, stats);
             cells.events.report(stats);
             found
         } else {
             // In ray order the surface comes before what it is around: cells would end no ray.
-            self.tree.blockers(rays, Order::RAY, &mut (), scratch, stats)
+            self.tree.blockers_with(rays, Order::RAY, &mut (), scratch, stats)
         };
         if let Some(cache) = cache {
             cache.blocked = found.iter().any(|blocker| blocker.any());

@@ -28,7 +28,6 @@ mod ends;
 mod grown;
 mod kd;
 mod solids;
-mod statistics;
 mod voxels;
 mod wide;
 
@@ -38,8 +37,7 @@ pub use classify::{Classifier, classify};
 pub use ends::Ends;
 pub use kd::{KdVolumetric, KdVolumetricOptions, Query, Scratch};
 pub use solids::{Generator, Object, SolidOptions, Solids};
-pub use statistics::{Counters, Statistics};
 pub use wide::{
-    Forecast, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidCounters,
-    SolidInstances, SolidInstancesScratch, SolidScratch,
+    Forecast, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidInstances,
+    SolidInstancesScratch, SolidScratch,
 };

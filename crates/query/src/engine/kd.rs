@@ -6,9 +6,9 @@ use super::{
 };
 use crate::{Occluders, QueryError, ShadowMethod};
 use std::sync::{Arc, Mutex};
-use umbrage_accel::{Counters, kdtree::Order};
+use umbrage_accel::{Counters, Statistics, kdtree::Order};
 use umbrage_geom::Ray;
-use umbrage_occlusion::volumetric::{self, KdVolumetric, Query, Scratch};
+use umbrage_occlusion::volumetric::{KdVolumetric, Query, Scratch};
 
 /// Rays that walk together.
 const PACKET: usize = 4;
@@ -51,7 +51,7 @@ fn in_packets(
     query: &Query,
     scratch: &mut Scratch,
     passed: &mut [f32],
-    stats: &mut impl volumetric::Statistics,
+    stats: &mut impl Statistics,
 ) {
     let none = Ray::new([0.0; 3], [0.0; 3]);
     for (rays, passed) in rays.chunks(PACKET).zip(passed.chunks_mut(PACKET)) {
@@ -61,7 +61,7 @@ fn in_packets(
             [alone] => hits[0] = tree.any_hit_with(&alone.ray, query, scratch, stats),
             _ => {
                 let (packet, hits) = (&packet[..rays.len()], &mut hits[..rays.len()]);
-                tree.any_hits_in_packets(packet, hits, query, scratch, stats);
+                tree.any_hits_with(packet, hits, query, scratch, stats);
             }
         }
         passed.iter_mut().zip(hits).for_each(|(out, hit)| *out = f32::from(u8::from(!hit)));
@@ -112,14 +112,8 @@ impl Remembers for Kd {
         scratch: &mut Scratch,
     ) {
         let query = self.query.with_light(light);
-        let mut counted = volumetric::Counters::default();
         match counters {
-            Some(counters) => {
-                in_packets(&self.tree, rays, &query, scratch, passed, &mut counted);
-                counters.nodes += counted.kd.steps;
-                counters.box_tests += counted.box_tests;
-                counters.triangle_tests += counted.kd.triangle_tests;
-            }
+            Some(counters) => in_packets(&self.tree, rays, &query, scratch, passed, counters),
             None => in_packets(&self.tree, rays, &query, scratch, passed, &mut ()),
         }
     }

@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex};
 use umbrage_accel::{Bvh, Counters};
 use umbrage_geom::{Ray, TriangleMesh};
 use umbrage_occlusion::volumetric::{
-    Ends, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidCounters,
-    SolidInstances, SolidInstancesScratch,
+    Ends, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidInstances,
+    SolidInstancesScratch,
 };
 
 pub(super) enum Solid<'a> {
@@ -135,12 +135,10 @@ impl Remembers for OneMesh<'_> {
     ) {
         let solid = &self.solid;
         if let Some(counters) = counters {
-            let mut counted = SolidCounters::default();
             for (to_light, out) in rays.iter().zip(passed) {
                 let ray = &to_light.ray;
-                *out = fraction(solid.any_hit_counted(ray, Ends::Unknown, light, scratch, &mut counted));
+                *out = fraction(solid.any_hit_with(ray, Ends::Unknown, light, scratch, counters));
             }
-            *counters += counted.walk;
         } else {
             let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
             let mut hits = vec![false; rays.len()];
@@ -170,20 +168,16 @@ impl Remembers for Instances<'_> {
         rays: &[LightRay],
         _: Option<usize>,
         passed: &mut [f32],
-        counters: Option<&mut Counters>,
+        mut counters: Option<&mut Counters>,
         scratch: &mut SolidInstancesScratch,
     ) {
         let solid = &self.solid;
-        let mut counted = SolidCounters::default();
         for (to_light, out) in rays.iter().zip(passed) {
-            let hit = match counters {
-                Some(_) => solid.any_hit_counted(&to_light.ray, scratch, &mut counted),
+            let hit = match &mut counters {
+                Some(counters) => solid.any_hit_with(&to_light.ray, scratch, *counters),
                 None => solid.any_hit(&to_light.ray, scratch),
             };
             *out = fraction(hit);
-        }
-        if let Some(counters) = counters {
-            *counters += counted.walk;
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Boxes inside of meshes that are placed several times: each mesh has its own once, in its own space.
 
-use super::{LazyScratch, LazySolidBvh, Prepared, Search, SolidCounters, Watch};
+use super::{LazyScratch, LazySolidBvh, Prepared, Search, Watch};
 use crate::volumetric::Ends;
 use umbrage_accel::{Bvh, Insides, InstancedBvh, Statistics};
 use umbrage_geom::Ray;
@@ -36,31 +36,22 @@ impl<'a> SolidInstances<'a> {
 
     /// Whether the open segment meets any triangle of any instance. Prepares the objects that it reaches.
     pub fn any_hit(&self, ray: &Ray, scratch: &mut SolidInstancesScratch) -> bool {
-        self.any_hit_watched(ray, scratch, &mut (), &mut ())
+        let mut entered = Entered { meshes: &self.meshes, scratch: &mut scratch.0, watch: &mut () };
+        self.top.any_hit_among_with(ray, &mut entered, &mut ())
     }
 
     /// [`Self::any_hit`], counted.
-    pub fn any_hit_counted(
+    pub fn any_hit_with(
         &self,
         ray: &Ray,
         scratch: &mut SolidInstancesScratch,
-        counters: &mut SolidCounters,
-    ) -> bool {
-        let mut walk = umbrage_accel::Counters::default();
-        let hit = self.any_hit_watched(ray, scratch, counters, &mut walk);
-        counters.walk += walk;
-        hit
-    }
-
-    fn any_hit_watched(
-        &self,
-        ray: &Ray,
-        scratch: &mut SolidInstancesScratch,
-        watch: &mut impl Watch,
         stats: &mut impl Statistics,
     ) -> bool {
-        let mut entered = Entered { meshes: &self.meshes, scratch: &mut scratch.0, watch };
-        self.top.any_hit_among(ray, &mut entered, stats)
+        let mut ended = None;
+        let mut entered = Entered { meshes: &self.meshes, scratch: &mut scratch.0, watch: &mut ended };
+        let hit = self.top.any_hit_among_with(ray, &mut entered, stats);
+        ended.into_iter().for_each(|remembered| stats.ended_in_solid(remembered));
+        hit
     }
 
     /// [`LazySolidBvh::prepare_all`] of all meshes.

@@ -4,7 +4,7 @@
 //! (`mod.rs`). Answers are exact with any boxes, so who prepares what when changes none. The work that rays take does depend on
 //! it, unless everything is prepared first ([`LazySolidBvh::prepare_all`]).
 
-use super::{Carved, SolidBvh, SolidBvhOptions, SolidCounters, SolidScratch};
+use super::{Carved, SolidBvh, SolidBvhOptions, SolidScratch};
 use crate::volumetric::{Ends, Object, Solids};
 use std::{
     ops::{AddAssign, ControlFlow, Range},
@@ -13,7 +13,7 @@ use std::{
         atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering},
     },
 };
-use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality, Bvh};
+use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality, Bvh, Statistics};
 use umbrage_geom::{Aabb, Ray};
 
 /// Fewest triangles that enclose space.
@@ -177,17 +177,17 @@ impl<'a> LazySolidBvh<'a> {
         scratch.current.any_hits(rays, hits, ends, light, &mut scratch.solid);
     }
 
-    /// [`SolidBvh::any_hit_counted`], and prepares what the ray reaches.
-    pub fn any_hit_counted(
+    /// [`SolidBvh::any_hit_with`], and prepares what the ray reaches.
+    pub fn any_hit_with(
         &self,
         ray: &Ray,
         ends: Ends,
         light: Option<usize>,
         scratch: &mut LazyScratch,
-        counters: &mut SolidCounters,
+        stats: &mut impl Statistics,
     ) -> bool {
         self.reach(std::slice::from_ref(ray), scratch);
-        scratch.current.any_hit_counted(ray, ends, light, &mut scratch.solid, counters)
+        scratch.current.any_hit_with(ray, ends, light, &mut scratch.solid, stats)
     }
 
     /// Prepares all objects and puts their boxes into use, so that the work of a ray does not depend on which rays came before it

@@ -18,7 +18,7 @@ pub use lazy::{LazyScratch, LazySolidBvh, Prepared};
 
 use super::{Ends, Object, SolidOptions, Solids, carve::carve, ends, voxels::Voxels};
 use std::sync::Arc;
-use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, Note, SolidPack};
+use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, Note, SolidPack, Statistics};
 use umbrage_geom::{Aabb, Ray, SlabRay, glam::Vec3};
 
 /// Boxes of a pack.
@@ -188,17 +188,6 @@ impl LightPack {
     }
 }
 
-/// Work of a walk.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SolidCounters {
-    /// Of the hierarchy; tests of solid boxes aside.
-    pub walk: accel::Counters,
-    /// Rays that ended at a solid box.
-    pub solid_hits: u64,
-    /// Of these among the boxes that a light has met before, or that were there in their places.
-    pub first_hits: u64,
-}
-
 impl SolidBvh {
     /// Finds generators among `objects` (the whole mesh if there are none) and puts boxes from inside of them into `bvh`, which
     /// must be that of the mesh. It is copied if others use it too, and if there are any boxes.
@@ -270,7 +259,7 @@ impl SolidBvh {
         if self.packs.is_empty() {
             return self.bvh.any_hit(ray);
         }
-        self.bvh.any_hit_among(ray, &mut self.search(ends, light, scratch, &mut ()), &mut ())
+        self.bvh.any_hit_among_with(ray, &mut self.search(ends, light, scratch, &mut ()), &mut ())
     }
 
     /// What a thread needs to trace rays.
@@ -279,21 +268,21 @@ impl SolidBvh {
     }
 
     /// [`Self::any_hit`], counted.
-    pub fn any_hit_counted(
+    pub fn any_hit_with(
         &self,
         ray: &Ray,
         ends: Ends,
         light: Option<usize>,
         scratch: &mut SolidScratch,
-        counters: &mut SolidCounters,
+        stats: &mut impl Statistics,
     ) -> bool {
-        let mut walk = accel::Counters::default();
-        let hit = if self.packs.is_empty() {
-            self.bvh.any_hit_with(ray, &mut walk)
-        } else {
-            self.bvh.any_hit_among(ray, &mut self.search(ends, light, scratch, counters), &mut walk)
-        };
-        counters.walk += walk;
+        if self.packs.is_empty() {
+            return self.bvh.any_hit_with(ray, stats);
+        }
+        let mut ended = None;
+        let mut search = self.search(ends, light, scratch, &mut ended);
+        let hit = self.bvh.any_hit_among_with(ray, &mut search, stats);
+        ended.into_iter().for_each(|remembered| stats.ended_in_solid(remembered));
         hit
     }
 
@@ -325,10 +314,10 @@ impl SolidBvh {
             if single {
                 // A fan of one ray would cost more than the ray.
                 for (ray, hit) in rays[start..end].iter().zip(&mut hits[start..end]) {
-                    *hit = self.bvh.any_hit_among(ray, &mut search, &mut ());
+                    *hit = self.bvh.any_hit_among_with(ray, &mut search, &mut ());
                 }
             } else {
-                self.bvh.any_hits_among(&rays[start..end], &mut hits[start..end], &mut search, &mut ());
+                self.bvh.any_hits_among_with(&rays[start..end], &mut hits[start..end], &mut search, &mut ());
             }
             start = end;
         }
@@ -434,17 +423,17 @@ impl Interior {
     }
 }
 
-/// Watches where rays end; `()` does nothing.
+/// Is told of rays that end at a box, and whether their light remembers it; `()` does nothing.
 trait Watch {
-    fn solid(&mut self, _first: bool) {}
+    fn solid(&mut self, _remembered: bool) {}
 }
 
 impl Watch for () {}
 
-impl Watch for SolidCounters {
-    fn solid(&mut self, first: bool) {
-        self.solid_hits += 1;
-        self.first_hits += u64::from(first);
+/// Of one ray.
+impl Watch for Option<bool> {
+    fn solid(&mut self, remembered: bool) {
+        *self = Some(remembered);
     }
 }
 
