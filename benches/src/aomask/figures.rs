@@ -164,9 +164,7 @@ fn walk(
     let mut ao = vec![0.0; pixels.len()];
     let bvh = case.ours.bvh();
     let start = Instant::now();
-    case.one.install(|| {
-        tables.answer_receivers(bvh, &receivers, options, Outputs::new(&mut ao), &mut |_| true)
-    })?;
+    case.one.install(|| tables.answer(bvh, &receivers, options, Outputs::new(&mut ao), &mut |_| true))?;
     let time_s = start.elapsed().as_secs_f64();
     let mut all = vec![1.0; picture.points.len()];
     pixels.iter().zip(ao).for_each(|(&i, ao)| all[i] = ao);

@@ -74,9 +74,8 @@ impl Entry<bool> for TableEntry<'_> {
         pool.unwrap_or(one).install(|| {
             let outputs = Outputs::new(ao).with_masks(masks);
             let Workload { points, normals, options, .. } = workload;
-            tables
-                .tables
-                .answer(bvh, points, normals, options, outputs, &mut |_| true)
+            Receiver::from_slices(points, normals, options.seed)
+                .and_then(|receivers| tables.tables.answer(bvh, &receivers, options, outputs, &mut |_| true))
                 .expect("valid receivers");
         });
     }

@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 use std::{path::Path, time::Instant};
 use umbrage_accel::Counters;
 use umbrage_aomask::{
-    MaskOptions, MaskTables, Outputs, Pattern, RasterLevel, RasterOptions, RasterView, Receiver,
-    TableOptions, rasterize,
+    MaskOptions, MaskTables, Outputs, Pattern, RasterCall, RasterLevel, RasterOptions, RasterView, Receiver,
+    TableOptions,
 };
 use umbrage_geom::{glam::Vec3, sampling::combine};
 
@@ -66,9 +66,9 @@ impl Picture {
         for _ in 0..passes {
             let start = Instant::now();
             let outputs = Outputs::new(&mut answer.ao).with_masks(&mut answer.masks);
-            answer.counters = case
-                .one
-                .install(|| rasterize(tables, levels, &view, options, raster, outputs, &mut |_| true))?;
+            let call =
+                RasterCall::new(tables, levels, &view).with_options(*options).with_raster(raster.clone());
+            answer.counters = case.one.install(|| call.run(outputs, &mut |_| true))?;
             answer.times.push(start.elapsed().as_secs_f64());
         }
         Ok(answer)

@@ -8,12 +8,11 @@ use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
 use umbrage_aomask::{
-    BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
+    MaskCall, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
     coarse::{
-        self, Cones, FarField,
+        Cones, FarField,
         field::{FieldCones, FieldOptions, MarchOptions, OpacityField},
     },
-    exact,
 };
 use umbrage_geom::{Falloff, glam::Vec3};
 use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
@@ -93,16 +92,15 @@ struct Run<'a> {
 impl Timed for Run<'_> {
     fn run(&mut self) {
         let Self { case, pattern, receivers, options, far, ao } = self;
-        let (bvh, best, outputs) = (case.ours.bvh(), BackEnd::best(), Outputs::new(ao));
+        let (bvh, outputs) = (case.ours.bvh(), Outputs::new(ao));
         let silent = &mut |_| true;
         case.one
-            .install(|| match far {
-                Far::None => exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, silent),
-                Far::Nodes(far) => {
-                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, silent)
-                }
-                Far::Field(far) => {
-                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, silent)
+            .install(|| {
+                let call = MaskCall::new(bvh, pattern, receivers, options);
+                match far {
+                    Far::None => call.answer(outputs, silent),
+                    Far::Nodes(far) => call.with_far(far).answer(outputs, silent),
+                    Far::Field(far) => call.with_far(far).answer(outputs, silent),
                 }
             })
             .expect("valid arguments");
@@ -140,8 +138,7 @@ impl Stored {
             }
             Setting::Field(share, cones) => {
                 let (near, march) = (near(share), MarchOptions::default().with_cones(cones));
-                let best = BackEnd::best();
-                Far::Field(FieldCones::new(&self.field, rays as usize, near, radius, &march, best)?)
+                Far::Field(FieldCones::new(&self.field, rays as usize, near, radius, &march)?)
             }
         })
     }

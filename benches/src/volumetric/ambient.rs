@@ -9,7 +9,7 @@ use anyhow::Result;
 use serde_json::json;
 use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters};
-use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, exact};
+use umbrage_aomask::{MaskCall, MaskOptions, Outputs, Pattern, PatternOptions, Receiver};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3};
 use umbrage_occlusion::volumetric::{Ends, SolidBvh, SolidBvhOptions};
 
@@ -125,8 +125,10 @@ fn measure(
     let mut by_masks = || {
         one.install(|| {
             let outputs = Outputs::new(&mut ao).with_masks(&mut words);
-            let (bvh, best) = (&built.bvh, BackEnd::best());
-            exact::answer(bvh, &pattern, &points, &normals, &masks, best, outputs, &mut |_| true)
+            Receiver::from_slices(&points, &normals, masks.seed)
+                .and_then(|asked| {
+                    MaskCall::new(&built.bvh, &pattern, &asked, &masks).answer(outputs, &mut |_| true)
+                })
                 .expect("valid arguments");
         });
     };

@@ -67,23 +67,3 @@ pub(crate) fn run<E: Engine>(
     }
     Ok(())
 }
-
-/// Checked receivers, each with the seed of its point and normal.
-///
-/// # Errors
-/// [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`].
-pub(crate) fn receivers(
-    points: &[[f32; 3]],
-    normals: &[[f32; 3]],
-    seed: u32,
-) -> Result<Vec<Receiver>, MaskError> {
-    if points.len() != normals.len() {
-        let (actual, expected) = (normals.len(), points.len());
-        return Err(MaskError::Length { what: "normals", actual, expected, points: expected });
-    }
-    let pairs = points.iter().zip(normals).enumerate();
-    let receiver = |(i, (&point, &normal)): (usize, (&[f32; 3], &[f32; 3]))| {
-        Receiver::new(i, point, normal, Receiver::seed_of(point, normal, seed))
-    };
-    pairs.map(receiver).collect()
-}

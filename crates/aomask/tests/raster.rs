@@ -5,8 +5,8 @@ mod common;
 use common::*;
 use umbrage_accel::Counters;
 use umbrage_aomask::{
-    MaskError, MaskOptions, MaskTables, Outputs, Pattern, RasterCamera, RasterLevel, RasterOptions,
-    RasterView, Sides, TableOptions, rasterize,
+    MaskError, MaskOptions, MaskTables, Outputs, Pattern, RasterCall, RasterCamera, RasterLevel,
+    RasterOptions, RasterView, Sides, TableOptions,
 };
 use umbrage_geom::{Falloff, Ray, TriangleMesh, glam::Vec3, offset_origin};
 
@@ -56,8 +56,11 @@ impl Picture {
         let mut ao = vec![f32::NAN; self.points.0.len()];
         let mut masks = vec![!0; ao.len() * tables.pattern().words()];
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
-        let counters =
-            rasterize(tables, levels, &self.view(), options, raster, outputs, &mut |_| true).unwrap();
+        let counters = RasterCall::new(tables, levels, &self.view())
+            .with_options(*options)
+            .with_raster(*raster)
+            .run(outputs, &mut |_| true)
+            .unwrap();
         (masks, counters)
     }
 }
@@ -84,7 +87,7 @@ fn references(
         let mut ao = [0.0];
         let mut mask = vec![0; words];
         let outputs = Outputs::new(&mut ao).with_masks(&mut mask);
-        tables.answer(&scene.bvh, &one.0, &one.1, options, outputs, &mut |_| true).unwrap();
+        common::table(tables, &scene.bvh, (&one.0, &one.1), options, outputs, true).unwrap();
         out[2].extend(mask);
     }
     out
@@ -212,7 +215,10 @@ fn bad_views_and_levels_are_named() {
     let mut ao = vec![-1.0; 20];
     let mut call = |levels: &[RasterLevel<'_>], view: &RasterView<'_>, factor: f32, cancel: bool| {
         let raster = RasterOptions::default().with_range_factor(factor);
-        rasterize(&tables, levels, view, &options, &raster, Outputs::new(&mut ao), &mut |_| !cancel)
+        RasterCall::new(&tables, levels, view)
+            .with_options(options)
+            .with_raster(raster)
+            .run(Outputs::new(&mut ao), &mut |_| !cancel)
     };
     let view = picture.view();
     let shorter = RasterView::new(picture.camera, 5, 5, view.points, view.normals);
@@ -235,11 +241,17 @@ fn bad_views_and_levels_are_named() {
     assert_eq!(ao, [-1.0; 20]);
     // Without geometry all is open.
     let raster = RasterOptions::default();
-    rasterize(&tables, &[], &view, &options, &raster, Outputs::new(&mut ao), &mut |_| true).unwrap();
+    RasterCall::new(&tables, &[], &view)
+        .with_options(options)
+        .with_raster(raster)
+        .run(Outputs::new(&mut ao), &mut |_| true)
+        .unwrap();
     assert_eq!(ao, [1.0; 20]);
     let none = RasterView::new(picture.camera, 0, 0, &[], &[]);
     let mut nothing = [];
-    let counters =
-        rasterize(&tables, &[level], &none, &options, &raster, Outputs::new(&mut nothing), &mut |_| true);
+    let counters = RasterCall::new(&tables, &[level], &none)
+        .with_options(options)
+        .with_raster(raster)
+        .run(Outputs::new(&mut nothing), &mut |_| true);
     assert_eq!(counters, Ok(Counters::default()));
 }

@@ -6,12 +6,11 @@
 
 use umbrage_accel::Bvh;
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
+    MaskCall, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
     coarse::{
-        self, Cones, FarField,
+        Cones, FarField,
         field::{FieldCones, FieldOptions, MarchOptions, OpacityField},
     },
-    exact,
 };
 use umbrage_geom::{
     Aabb, OpticalDepth, TriangleMesh,
@@ -59,7 +58,7 @@ impl<D: Fn(u32) -> OpticalDepth + Sync> Blockers<'_, D> {
     /// Masks of `receivers`: exact, or with `far` from where it begins.
     ///
     /// # Errors
-    /// Those of [`exact::answer_receivers`] and [`coarse::answer_receivers`].
+    /// Those of [`MaskCall::answer`].
     pub(crate) fn answer(
         &self,
         far: Option<&FarCones<'_>>,
@@ -69,20 +68,13 @@ impl<D: Fn(u32) -> OpticalDepth + Sync> Blockers<'_, D> {
         outputs: Outputs<'_>,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<(), MaskError> {
-        let (bvh, best) = (self.bvh, BackEnd::best());
-        match (far, &self.depth_of) {
-            (None, None) => {
-                exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)
-            }
-            (None, Some(depth_of)) => {
-                exact::transmit(bvh, depth_of, pattern, receivers, options, best, outputs, progress)
-            }
-            (Some(far), None) => {
-                coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, progress)
-            }
-            (Some(far), Some(depth_of)) => {
-                coarse::transmit(bvh, depth_of, far, pattern, receivers, options, best, outputs, progress)
-            }
+        let mut call = MaskCall::new(self.bvh, pattern, receivers, options);
+        if let Some(far) = far {
+            call = call.with_far(far);
+        }
+        match &self.depth_of {
+            None => call.answer(outputs, progress),
+            Some(depth_of) => call.transmit(depth_of, outputs, progress),
         }
     }
 }
@@ -206,7 +198,7 @@ impl FarOpacity {
     /// surfaces of the scene. `None` if the field is of no use, because it would have to begin too far away.
     ///
     /// # Errors
-    /// Those of [`coarse::answer_receivers`].
+    /// Those of [`MaskCall::answer`].
     pub(crate) fn near<D: Fn(u32) -> OpticalDepth + Sync>(
         &self,
         blockers: &Blockers<'_, D>,
@@ -271,8 +263,7 @@ impl FarOpacity {
     /// # Errors
     /// Those of [`FieldCones::new`].
     pub(crate) fn cones(&self, rays: usize, near: f32, radius: f32) -> Result<FarCones<'_>, MaskError> {
-        let cones =
-            FieldCones::new(&self.field, rays, near, radius, &MarchOptions::default(), BackEnd::best())?;
+        let cones = FieldCones::new(&self.field, rays, near, radius, &MarchOptions::default())?;
         Ok(FarCones { cones, large: &self.large })
     }
 }

@@ -320,11 +320,13 @@ pub struct MarchOptions {
     pub cones: usize,
     /// Width of cells in widths of the cone.
     pub coarseness: f32,
+    /// What cones run on. Answers are the same.
+    pub back_end: BackEnd,
 }
 
 impl Default for MarchOptions {
     fn default() -> Self {
-        Self { cones: 128, coarseness: 0.5 }
+        Self { cones: 128, coarseness: 0.5, back_end: BackEnd::best() }
     }
 }
 
@@ -339,6 +341,12 @@ impl MarchOptions {
     #[must_use]
     pub fn with_coarseness(self, coarseness: f32) -> Self {
         Self { coarseness, ..self }
+    }
+
+    /// Sets the back end.
+    #[must_use]
+    pub fn with_back_end(self, back_end: BackEnd) -> Self {
+        Self { back_end, ..self }
     }
 }
 
@@ -374,13 +382,13 @@ impl<'a> FieldCones<'a> {
         near: f32,
         radius: f32,
         options: &MarchOptions,
-        back_end: BackEnd,
     ) -> Result<Self, MaskError> {
         for length in [near, radius] {
             if length.is_nan() || length <= 0.0 {
                 return Err(MaskError::Radius(length));
             }
         }
+        let back_end = options.back_end;
         if !back_end.is_supported() {
             return Err(MaskError::BackEnd(back_end));
         }

@@ -90,38 +90,63 @@ impl<'a> RasterView<'a> {
     }
 }
 
-/// Ambient occlusion of all receivers of `view` among the triangles of `levels`, the first of which is the scene itself; the
-/// others, if any, stand for it at a distance ([`RasterLevel`]). Where there is no receiver, or it is behind the camera, `ao`
-/// is 1 and masks and bent normals are 0. Results depend on the arguments only, not on threads. `progress` gets growing
-/// fractions that end at exactly 1, from any thread, and returns `false` to cancel.
-///
-/// # Errors
-/// [`MaskError::Build`] for geometry that can't be used; [`MaskError::Level`], [`MaskError::Radius`],
-/// [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`],
-/// [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
-pub fn rasterize(
-    tables: &MaskTables,
-    levels: &[RasterLevel<'_>],
-    view: &RasterView<'_>,
-    options: &MaskOptions,
-    raster: &RasterOptions,
-    mut outputs: Outputs<'_>,
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<Counters, MaskError> {
-    let pattern = tables.pattern();
-    options.validate_for_tables(pattern)?;
-    outputs.validate_for_tables()?;
-    let receivers = view.receivers(options.seed)?;
-    outputs.validate(receivers.len(), pattern.words())?;
-    let levels = lod::prepare(levels, &bounds(levels, &receivers), options, raster, pattern)?;
-    let result = crate::table::with_set!(tables.sets(), set => {
-        Raster { tables, set, levels: &levels, view, options, raster, receivers: &receivers }.run(progress)
-    });
-    let (masks, counters) = result?;
-    let answers = Answers { masks, ..Answers::default() };
-    let gathered = Wanted::new(&outputs).gather(pattern, receivers.iter().map(Option::as_ref), &answers);
-    gathered.write(&mut outputs, 0..receivers.len());
-    Ok(counters)
+/// All receivers of an image and the triangles that may occlude them.
+#[derive(Clone, Copy)]
+#[must_use = "nothing is rasterized before `run`"]
+pub struct RasterCall<'a> {
+    tables: &'a MaskTables,
+    levels: &'a [RasterLevel<'a>],
+    view: &'a RasterView<'a>,
+    options: MaskOptions,
+    raster: RasterOptions,
+}
+
+impl<'a> RasterCall<'a> {
+    /// The receivers of `view` among the triangles of `levels`, the first of which is the scene itself; the others, if any, stand
+    /// for it at a distance ([`RasterLevel`]). Options are the defaults.
+    pub fn new(tables: &'a MaskTables, levels: &'a [RasterLevel<'a>], view: &'a RasterView<'a>) -> Self {
+        Self { tables, levels, view, options: MaskOptions::default(), raster: RasterOptions::default() }
+    }
+
+    /// Sets radius, sides and seed.
+    pub fn with_options(self, options: MaskOptions) -> Self {
+        Self { options, ..self }
+    }
+
+    /// Sets what is said of rasterization.
+    pub fn with_raster(self, raster: RasterOptions) -> Self {
+        Self { raster, ..self }
+    }
+
+    /// Ambient occlusion of all receivers. Where there is no receiver, or it is behind the camera, `ao` is 1 and masks and bent
+    /// normals are 0. Results depend on what was said only, not on threads. `progress` gets growing fractions that end at
+    /// exactly 1, from any thread, and returns `false` to cancel. Returns the work.
+    ///
+    /// # Errors
+    /// [`MaskError::Build`] for geometry that can't be used; [`MaskError::Level`], [`MaskError::Radius`],
+    /// [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`],
+    /// [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
+    pub fn run(
+        self,
+        mut outputs: Outputs<'_>,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<Counters, MaskError> {
+        let Self { tables, levels, view, options, raster } = &self;
+        let pattern = tables.pattern();
+        options.validate_for_tables(pattern)?;
+        outputs.validate_for_tables()?;
+        let receivers = view.receivers(options.seed)?;
+        outputs.validate(receivers.len(), pattern.words())?;
+        let levels = lod::prepare(levels, &bounds(levels, &receivers), options, raster, pattern)?;
+        let result = crate::table::with_set!(tables.sets(), set => {
+            Raster { tables, set, levels: &levels, view, options, raster, receivers: &receivers }.run(progress)
+        });
+        let (masks, counters) = result?;
+        let answers = Answers { masks, ..Answers::default() };
+        let gathered = Wanted::new(&outputs).gather(pattern, receivers.iter().map(Option::as_ref), &answers);
+        gathered.write(&mut outputs, 0..receivers.len());
+        Ok(counters)
+    }
 }
 
 /// Box around everything.

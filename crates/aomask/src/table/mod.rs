@@ -196,32 +196,14 @@ impl MaskTables {
         with_set!(&self.tables, set => set.bytes())
     }
 
-    /// Ambient occlusion of receivers at `points` (world units, see [`Receiver::new`]) that look along `normals` among the
-    /// triangles of `bvh`. Results depend on the arguments only, not on threads or back end. `progress` gets growing
-    /// fractions that end at exactly 1, from any thread, and returns `false` to cancel.
-    ///
-    /// # Errors
-    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`],
-    /// [`MaskError::Normal`], [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
-    pub fn answer(
-        &self,
-        bvh: &Bvh,
-        points: &[[f32; 3]],
-        normals: &[[f32; 3]],
-        options: &MaskOptions,
-        outputs: Outputs<'_>,
-        progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(), MaskError> {
-        let receivers = drive::receivers(points, normals, options.seed)?;
-        self.answer_receivers(bvh, &receivers, options, outputs, progress)
-    }
-
-    /// [`Self::answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
+    /// Ambient occlusion of `receivers` among the triangles of `bvh`; [`MaskOptions::seed`] is not used. Results depend on the
+    /// arguments only, not on threads or back end. `progress` gets growing fractions that end at exactly 1, from any thread, and
+    /// returns `false` to cancel.
     ///
     /// # Errors
     /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Unsupported`],
-    /// [`MaskError::Cancelled`].
-    pub fn answer_receivers(
+    /// [`MaskError::Cancelled`]. The outputs are as they were then.
+    pub fn answer(
         &self,
         bvh: &Bvh,
         receivers: &[Receiver],
