@@ -11,7 +11,7 @@ use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters};
 use umbrage_aomask::{MaskCall, MaskOptions, Outputs, Pattern, PatternOptions, Receiver};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3};
-use umbrage_occlusion::volumetric::{Ends, SolidBvh, SolidBvhOptions};
+use umbrage_occlusion::volumetric::{Ends, ObjectMesh, SolidBvh, SolidBvhOptions};
 
 /// Closed meshes, on a ground.
 const MESHES: [&str; 3] = ["bunny_60k", "armadillo_86k", "dragon_871k"];
@@ -53,7 +53,8 @@ pub fn rows(options: &Options, output: &mut Output) -> Result<()> {
         let bvh_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let options_of = SolidBvhOptions::default();
-        let solid = SolidBvh::build(bvh.clone(), positions, triangles, &scene.objects, &options_of);
+        let parts = ObjectMesh::new(positions, triangles).with_objects(&scene.objects);
+        let solid = SolidBvh::build(bvh.clone(), &parts, &options_of)?;
         let built = Built { bvh, bvh_s, solid, solid_s: start.elapsed().as_secs_f64() };
         // The ground is the last object.
         let body = scene.objects.first().map_or(0..0, |object| object.triangles.clone());

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters, KdTree, Statistics, kdtree::Order};
 use umbrage_occlusion::volumetric::{
-    Classifier, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
+    Classifier, Ends, KdVolumetric, KdVolumetricOptions, ObjectMesh, Query, Scratch, ShadowRays, SolidBvh,
     SolidBvhOptions, Solids,
 };
 use umbrage_query::{
@@ -84,29 +84,30 @@ impl Structures {
         let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
         let (bvh, bvh_s) = timed(|| (), |()| Bvh::build(positions, triangles, &BuildOptions::default()));
         let bvh = Arc::new(bvh?);
-        let (objects, options) = (&scene.objects, SolidBvhOptions::default());
-        let (solid, solid_s) =
-            timed(|| bvh.clone(), |bvh| SolidBvh::build(bvh, positions, triangles, objects, &options));
+        let parts = ObjectMesh::new(positions, triangles).with_objects(&scene.objects);
+        let options = SolidBvhOptions::default();
+        let (solid, solid_s) = timed(|| bvh.clone(), |bvh| SolidBvh::build(bvh, &parts, &options));
         let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
         let auto = [1.0, fans].map(|together| {
             let rays = ShadowRays { lights: &lights, count, together };
             timed(
                 || (),
-                |()| SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &rays, &options),
+                |()| SolidBvh::build_if_it_pays(&bvh, &parts, &rays, &options).expect("checked meshes"),
             )
         });
         let options = KdVolumetricOptions::default();
-        let (solids, audit_s) =
-            timed(|| (), |()| Solids::find(positions, triangles, objects, &options.solids));
+        let (solids, audit_s) = timed(|| (), |()| Solids::find(&parts, &options.solids));
+        let solids = solids?;
         let (tree, kd_s) = timed(
             || (),
             |()| KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, &mut |_| true),
         );
-        let parts = (tree?, solids);
-        let classified = |by| timed(|| parts.clone(), |(tree, solids)| KdVolumetric::new(tree, solids, by));
+        let built = (tree?, solids);
+        let classified =
+            |by| timed(|| built.clone(), |(tree, solids)| KdVolumetric::from_parts(tree, solids, by));
         let (_, test_rays_s) = classified(Classifier::TestRays);
         let (kd, classify_s) = classified(Classifier::Flood);
-        Ok(Self { bvh, bvh_s, solid, solid_s, auto, kd, kd_s, audit_s, classify_s, test_rays_s })
+        Ok(Self { bvh, bvh_s, solid: solid?, solid_s, auto, kd: kd?, kd_s, audit_s, classify_s, test_rays_s })
     }
 }
 

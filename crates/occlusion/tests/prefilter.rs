@@ -7,9 +7,10 @@ use umbrage_geom::{
     glam::{Mat3, Vec3},
     sampling::RandomStream,
 };
+use umbrage_occlusion::OcclusionError;
 use umbrage_occlusion::prefilter::{
-    Blend, ConeRay, Correlation, Directions, PrefilterError, PrefilterOptions, Prefiltered, Query,
-    SegmentEnds, Storage, published::Published,
+    Blend, ConeRay, Correlation, Directions, PrefilterOptions, Prefiltered, Query, SegmentEnds, Storage,
+    published::Published,
 };
 use umbrage_scene::generate::{Parameters, generate};
 
@@ -237,10 +238,10 @@ fn refits_follow_the_vertices() {
     let mean = |v: Vec<f32>| v.iter().sum::<f32>() / v.len() as f32;
     let (kept, new) = (mean(answers(&scene, &rays, &query)), mean(answers(&fresh, &rays, &query)));
     assert!((kept - new).abs() < 0.02, "{kept} {new}");
-    assert!(matches!(scene.refit(&moved[1..], &mut |_| true), Err(PrefilterError::Build(_))));
+    assert!(matches!(scene.refit(&moved[1..], &mut |_| true), Err(OcclusionError::Build(_))));
     assert!(matches!(
         scene.refit(&vec![[f32::NAN; 3]; moved.len()], &mut |_| true),
-        Err(PrefilterError::Mesh(_))
+        Err(OcclusionError::Mesh(_))
     ));
 }
 
@@ -334,13 +335,13 @@ fn bad_input_has_names() {
     };
     for value in [-0.1, 1.1, f32::NAN] {
         let error = fails(&[value], &default);
-        assert!(matches!(error, PrefilterError::Opacity { index: 0, .. }), "{error}");
+        assert!(matches!(error, OcclusionError::Opacity { index: 0, .. }), "{error}");
     }
-    assert_eq!(fails(&[], &default), PrefilterError::OpacityCount { count: 0, triangles: 10 });
-    assert_eq!(fails(&[0.5; 3], &default), PrefilterError::OpacityCount { count: 3, triangles: 10 });
+    assert_eq!(fails(&[], &default), OcclusionError::OpacityCount { count: 0, triangles: 10 });
+    assert_eq!(fails(&[0.5; 3], &default), OcclusionError::OpacityCount { count: 3, triangles: 10 });
     for height in [-1.0, f32::NAN, f32::INFINITY] {
         let error = fails(&[1.0], &default.with_correlation(Correlation::Height(height)));
-        assert!(matches!(error, PrefilterError::CorrelationHeight(_)), "{error}");
+        assert!(matches!(error, OcclusionError::CorrelationHeight(_)), "{error}");
     }
     for directions in [0, 13, 255] {
         let error = fails(&[1.0], &default.with_directions(directions));
@@ -348,11 +349,11 @@ fn bad_input_has_names() {
     }
     assert!(fails(&[1.0], &default.with_lines(0)).to_string().contains("lines"));
     let empty = Prefiltered::build(&[], &[], &[1.0], &default, &mut |_| true);
-    assert!(matches!(empty, Err(PrefilterError::Mesh(_))));
+    assert!(matches!(empty, Err(OcclusionError::Mesh(_))));
     let cancelled = Prefiltered::build(&positions, &triangles, &[1.0], &default, &mut |_| false);
-    assert!(matches!(cancelled, Err(PrefilterError::Cancelled)));
+    assert!(matches!(cancelled, Err(OcclusionError::Cancelled)));
     for t in [0.0, -1.0, f32::NAN] {
-        assert!(matches!(Query::new(t), Err(PrefilterError::Threshold(_))));
+        assert!(matches!(Query::new(t), Err(OcclusionError::Threshold(_))));
     }
     assert!(Published::build(&positions, &triangles, 2.0, 1.0, 3).is_err());
     assert!(Published::build(&positions, &triangles, 1.0, f32::NAN, 3).is_err());
@@ -397,11 +398,11 @@ fn instances_dim_as_copies_do() {
     }
     assert!(matches!(
         PrefilteredInstances::new(&top, vec![one.clone()], &[0; 2]),
-        Err(PrefilterError::InstanceCount { .. })
+        Err(OcclusionError::InstanceCount { .. })
     ));
     assert!(matches!(
         PrefilteredInstances::new(&top, vec![one], &[0, 0, 1]),
-        Err(PrefilterError::Hierarchy { instance: 2, .. })
+        Err(OcclusionError::Hierarchy { instance: 2, .. })
     ));
 }
 
@@ -437,7 +438,7 @@ fn plans_keep_the_error_they_promise() {
         }
         assert!(squares.sqrt() < 1.5 * target, "{target}: {}", squares.sqrt());
     }
-    assert!(matches!(scene.plan(0.0, 128, fan), Err(PrefilterError::Target { .. })));
-    assert!(matches!(scene.plan(f32::NAN, 128, fan), Err(PrefilterError::Target { .. })));
-    assert!(matches!(scene.plan(0.1, 0, fan), Err(PrefilterError::Target { .. })));
+    assert!(matches!(scene.plan(0.0, 128, fan), Err(OcclusionError::Target { .. })));
+    assert!(matches!(scene.plan(f32::NAN, 128, fan), Err(OcclusionError::Target { .. })));
+    assert!(matches!(scene.plan(0.1, 0, fan), Err(OcclusionError::Target { .. })));
 }

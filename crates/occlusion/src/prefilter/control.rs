@@ -3,7 +3,8 @@
 //! A sample of receivers is answered exactly with many rays, and then with one setting after the other; the cheapest one that
 //! keeps the error wins. Cost is counted in steps of traversal, not timed, so that the choice is the same every time.
 
-use super::{ConeRay, PrefilterError, Prefiltered, Query};
+use super::{ConeRay, Prefiltered, Query};
+use crate::OcclusionError;
 use umbrage_accel::Statistics;
 
 /// Rays of the pilot's exact answers.
@@ -63,15 +64,15 @@ impl Prefiltered {
     /// are what is returned, with the error that they have.
     ///
     /// # Errors
-    /// [`PrefilterError::Target`] if the target is not above 0 or there are no receivers.
+    /// [`OcclusionError::Target`] if the target is not above 0 or there are no receivers.
     pub fn plan(
         &self,
         target: f32,
         receivers: usize,
         mut fan: impl FnMut(usize, u32, u32, &mut Vec<ConeRay>),
-    ) -> Result<Plan, PrefilterError> {
+    ) -> Result<Plan, OcclusionError> {
         if target.is_nan() || target <= 0.0 || receivers == 0 {
-            return Err(PrefilterError::Target { target, receivers });
+            return Err(OcclusionError::Target { target, receivers });
         }
         let mut cones = Vec::new();
         let mut mean = |receiver: usize, rays: u32, seed: u32, query: &Query, steps: &mut Steps| {

@@ -1,6 +1,7 @@
 //! Prefiltered hierarchies placed several times: each is built once and shared.
 
-use super::{ConeRay, PrefilterError, Prefiltered, Query};
+use super::{ConeRay, Prefiltered, Query};
+use crate::OcclusionError;
 use std::{ops::ControlFlow, sync::Arc};
 use umbrage_accel::{InstancedBvh, Statistics};
 use umbrage_geom::{Ray, glam::DMat3};
@@ -24,15 +25,15 @@ impl<'a> PrefilteredInstances<'a> {
     /// [`umbrage_accel::Bvh`]. Several hierarchies may be over the same triangles with other opacities.
     ///
     /// # Errors
-    /// [`PrefilterError::InstanceCount`], [`PrefilterError::Hierarchy`].
+    /// [`OcclusionError::InstanceCount`], [`OcclusionError::Hierarchy`].
     pub fn new(
         top: &'a InstancedBvh,
         scenes: Vec<Arc<Prefiltered>>,
         of_instance: &[u32],
-    ) -> Result<Self, PrefilterError> {
+    ) -> Result<Self, OcclusionError> {
         let (count, instances) = (of_instance.len(), top.instance_count());
         if count != instances {
-            return Err(PrefilterError::InstanceCount { count, instances });
+            return Err(OcclusionError::InstanceCount { count, instances });
         }
         let instance = |(instance, &hierarchy): (usize, &u32)| {
             let (bvh, map) = top.instance(instance as u32);
@@ -40,7 +41,7 @@ impl<'a> PrefilteredInstances<'a> {
                 Some(scene) if scene.prim_count() == bvh.prim_count() => {
                     Ok((hierarchy, DMat3::determinant(&map.matrix3).abs()))
                 }
-                _ => Err(PrefilterError::Hierarchy { instance, hierarchy }),
+                _ => Err(OcclusionError::Hierarchy { instance, hierarchy }),
             }
         };
         let instances = of_instance.iter().enumerate().map(instance).collect::<Result<_, _>>()?;

@@ -20,7 +20,7 @@
 //! let ray = ConeRay { ray: Ray::new([5.0, 15.0, -900.0], [0.0, 0.0, 1.0]), solid_angle: 0.01 };
 //! let passed = scene.transmittance(&ray, &Query::new(0.2)?);
 //! assert!((0.0..=1.0).contains(&passed));
-//! # Ok::<(), umbrage_occlusion::prefilter::PrefilterError>(())
+//! # Ok::<(), umbrage_occlusion::OcclusionError>(())
 //! ```
 
 pub mod published;
@@ -29,7 +29,6 @@ mod control;
 mod correlation;
 mod depths;
 mod directions;
-mod error;
 mod fan;
 mod instances;
 mod opacity;
@@ -40,7 +39,6 @@ mod storage;
 
 pub use control::Plan;
 pub use directions::Directions;
-pub use error::PrefilterError;
 pub use instances::PrefilteredInstances;
 pub use options::{Blend, CellSampling, Correlation, PrefilterOptions, Query, SegmentEnds, Storage};
 pub use prefiltered::{Bytes, ConeRay, Prefiltered};

@@ -1,6 +1,7 @@
 //! What can be chosen when a hierarchy is prefiltered and when it is asked.
 
-use super::{Directions, PrefilterError};
+use super::Directions;
+use crate::OcclusionError;
 use umbrage_accel::BuildQuality;
 
 /// Which nodes may end rays.
@@ -103,11 +104,11 @@ impl Default for PrefilterOptions {
 }
 
 /// `value` if it is within `least..=most`.
-pub(crate) fn within(what: &'static str, value: f64, least: f64, most: f64) -> Result<(), PrefilterError> {
+pub(crate) fn within(what: &'static str, value: f64, least: f64, most: f64) -> Result<(), OcclusionError> {
     if value >= least && value <= most {
         Ok(())
     } else {
-        Err(PrefilterError::Setting { what, value, least, most })
+        Err(OcclusionError::Setting { what, value, least, most })
     }
 }
 
@@ -151,12 +152,12 @@ impl PrefilterOptions {
     /// Checks ranges; returns the cells.
     ///
     /// # Errors
-    /// [`PrefilterError::CorrelationHeight`], [`PrefilterError::Setting`].
-    pub fn validate(&self) -> Result<Directions, PrefilterError> {
+    /// [`OcclusionError::CorrelationHeight`], [`OcclusionError::Setting`].
+    pub fn validate(&self) -> Result<Directions, OcclusionError> {
         if let Correlation::Height(height) = self.correlation
             && !(height >= 0.0 && height.is_finite())
         {
-            return Err(PrefilterError::CorrelationHeight(height));
+            return Err(OcclusionError::CorrelationHeight(height));
         }
         let most = f64::from(Directions::MOST);
         within("number of directions along a face", self.directions.into(), 1.0, most)?;
@@ -215,12 +216,12 @@ impl Query {
     /// A query with threshold `T`.
     ///
     /// # Errors
-    /// [`PrefilterError::Threshold`] if it is not above 0.
-    pub fn new(threshold: f32) -> Result<Self, PrefilterError> {
+    /// [`OcclusionError::Threshold`] if it is not above 0.
+    pub fn new(threshold: f32) -> Result<Self, OcclusionError> {
         if threshold > 0.0 {
             Ok(Self { threshold, ..Self::EXACT })
         } else {
-            Err(PrefilterError::Threshold(threshold))
+            Err(OcclusionError::Threshold(threshold))
         }
     }
 

@@ -1,13 +1,14 @@
 //! The hierarchy that callers hold: build, refit, queries.
 
 use super::{
-    Correlation, Directions, PrefilterError, PrefilterOptions, Query, Storage,
+    Correlation, Directions, PrefilterOptions, Query, Storage,
     correlation::may_stop,
     depths::Depths,
     fan::Answer,
     opacity::{levels, measure, sphere_areas},
     storage::{Cube, Harmonics, Stored, averages, with_table},
 };
+use crate::OcclusionError;
 use umbrage_accel::{BuildError, BuildOptions, Bvh, Note, Statistics};
 use umbrage_geom::{Aabb, Progress, Ray, mesh::validate_slices};
 
@@ -48,12 +49,12 @@ pub struct Prefiltered {
     options: PrefilterOptions,
 }
 
-fn check_opacity(opacity: &[f32], triangles: usize) -> Result<(), PrefilterError> {
+fn check_opacity(opacity: &[f32], triangles: usize) -> Result<(), OcclusionError> {
     if opacity.len() != 1 && opacity.len() != triangles {
-        return Err(PrefilterError::OpacityCount { count: opacity.len(), triangles });
+        return Err(OcclusionError::OpacityCount { count: opacity.len(), triangles });
     }
     match opacity.iter().position(|a| !(0.0..=1.0).contains(a)) {
-        Some(index) => Err(PrefilterError::Opacity { index, value: opacity[index] }),
+        Some(index) => Err(OcclusionError::Opacity { index, value: opacity[index] }),
         None => Ok(()),
     }
 }
@@ -64,16 +65,16 @@ impl Prefiltered {
     /// to cancel.
     ///
     /// # Errors
-    /// [`PrefilterError::Mesh`] as from [`validate_slices`], an empty mesh among them; [`PrefilterError::Opacity`],
-    /// [`PrefilterError::OpacityCount`]; those of [`PrefilterOptions::validate`]; [`PrefilterError::Build`];
-    /// [`PrefilterError::Cancelled`].
+    /// [`OcclusionError::Mesh`] as from [`validate_slices`], an empty mesh among them; [`OcclusionError::Opacity`],
+    /// [`OcclusionError::OpacityCount`]; those of [`PrefilterOptions::validate`]; [`OcclusionError::Build`];
+    /// [`OcclusionError::Cancelled`].
     pub fn build(
         positions: &[[f32; 3]],
         triangles: &[[u32; 3]],
         opacity: &[f32],
         options: &PrefilterOptions,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<Self, PrefilterError> {
+    ) -> Result<Self, OcclusionError> {
         let directions = options.validate()?;
         validate_slices(positions, triangles)?;
         check_opacity(opacity, triangles.len())?;
@@ -91,17 +92,17 @@ impl Prefiltered {
     /// it was: that follows from what is connected, and from sizes at the build.
     ///
     /// # Errors
-    /// [`PrefilterError::Build`] unless there are as many `positions` as at the build; [`PrefilterError::Mesh`] for
-    /// coordinates as from [`umbrage_geom::mesh::validate_positions`]. Nothing has moved then. [`PrefilterError::Cancelled`]: vertices have
+    /// [`OcclusionError::Build`] unless there are as many `positions` as at the build; [`OcclusionError::Mesh`] for
+    /// coordinates as from [`umbrage_geom::mesh::validate_positions`]. Nothing has moved then. [`OcclusionError::Cancelled`]: vertices have
     /// moved, opacities have not; answers other than exact ones mean nothing until another refit succeeds.
     pub fn refit(
         &mut self,
         positions: &[[f32; 3]],
         progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(), PrefilterError> {
+    ) -> Result<(), OcclusionError> {
         self.bvh.refit(positions).map_err(|error| match error {
-            BuildError::Mesh(error) => PrefilterError::Mesh(error),
-            error => PrefilterError::Build(error),
+            BuildError::Mesh(error) => OcclusionError::Mesh(error),
+            error => OcclusionError::Build(error),
         })?;
         let view = self.bvh.view();
         let mask = |node: u32| {
@@ -228,7 +229,7 @@ fn stored(
     masks: &[u8],
     options: &PrefilterOptions,
     progress: &Progress,
-) -> Result<Stored, PrefilterError> {
+) -> Result<Stored, OcclusionError> {
     let rows = (masks, place_rows(bvh, masks));
     Ok(match options.storage {
         Storage::CubeU4 => Stored::U4(measure(bvh, depths, directions, rows, options, progress)?),

@@ -1,10 +1,12 @@
 //! Shadow rays through a kd-tree whose opaque cells end them.
 
 use super::{
-    BoxPack, Classifier, Ends, Object, OccluderCache, SolidOptions, Solids, classify,
+    BoxPack, Classifier, Ends, ObjectMesh, OccluderCache, SolidOptions, Solids, classify,
     ends::{is_outside, region_is_outside},
     grown,
+    object_mesh::unique_id,
 };
+use crate::OcclusionError;
 use umbrage_accel::{
     BackEnd, BuildError, KdTree, Statistics,
     kdtree::{Blocker, Cells, KdOptions, KdScratch, Order, Start},
@@ -58,17 +60,31 @@ pub struct KdVolumetric {
     /// Boxes around generators, at most [`GROUPS`].
     groups: Vec<Aabb>,
     group_pack: BoxPack<GROUPS>,
+    /// See [`unique_id`].
+    id: u64,
 }
 
-/// What a thread needs to trace rays: lists of nodes and a cache for each light.
+/// What a thread needs to trace rays: lists of nodes and a cache for each light. With another [`KdVolumetric`] than before, caches
+/// start anew.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     single: KdScratch<1>,
     packet: KdScratch<4>,
     caches: Vec<OccluderCache>,
+    /// [`KdVolumetric::id`] of the caches; 0 before the first ray.
+    id: u64,
 }
 
 impl Scratch {
+    /// Forgets what belongs to another tree.
+    #[inline]
+    fn belong_to(&mut self, id: u64) {
+        if self.id != id {
+            self.caches.clear();
+            self.id = id;
+        }
+    }
+
     /// The cache of `light`, made when first asked for.
     fn cache(caches: &mut Vec<OccluderCache>, light: usize) -> &mut OccluderCache {
         if caches.len() <= light {
@@ -137,47 +153,36 @@ impl Query {
 }
 
 impl KdVolumetric {
-    /// Builds the tree over all triangles, finds the generators among `objects` (the whole mesh if there are none) and
-    /// classifies the empty cells.
+    /// Builds the tree over all triangles, finds the generators among the objects and classifies the empty cells. `progress` is
+    /// called with numbers that grow to 1 and cancels by returning `false`.
     ///
     /// # Errors
-    /// As [`KdTree::build`].
-    ///
-    /// # Panics
-    /// If an object names triangles that don't exist.
+    /// Those of [`Solids::find`] and [`KdTree::build_guarded`]; [`OcclusionError::Cancelled`].
     pub fn build(
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
-        options: &KdVolumetricOptions,
-    ) -> Result<Self, BuildError> {
-        Self::build_watched(positions, triangles, objects, options, &mut |_| true)
-    }
-
-    /// [`Self::build`] with `progress`, which is called with numbers that grow to 1 and cancels by returning `false`.
-    ///
-    /// # Errors
-    /// As [`Self::build`]; [`BuildError::Cancelled`].
-    ///
-    /// # Panics
-    /// If an object names triangles that don't exist.
-    pub fn build_watched(
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
+        mesh: &ObjectMesh<'_>,
         options: &KdVolumetricOptions,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<Self, BuildError> {
-        // Indices are checked before anything looks at them.
-        umbrage_geom::mesh::validate_slices(positions, triangles)?;
-        let solids = Solids::find(positions, triangles, objects, &options.solids);
+    ) -> Result<Self, OcclusionError> {
+        let solids = Solids::find(mesh, &options.solids)?;
+        let (positions, triangles) = (mesh.positions, mesh.triangles);
         let tree = KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, progress)?;
-        Ok(Self::new(tree, solids, options.classifier))
+        Self::from_parts(tree, solids, options.classifier)
     }
 
     /// Adds occluders to a tree over the mesh that `solids` was found in, with its caps as guards
     /// ([`KdTree::build_guarded`]).
-    pub fn new(mut tree: KdTree, solids: Solids, classifier: Classifier) -> Self {
+    ///
+    /// # Errors
+    /// [`OcclusionError::Triangles`] if the tree has not as many triangles as the mesh.
+    pub fn from_parts(
+        mut tree: KdTree,
+        solids: Solids,
+        classifier: Classifier,
+    ) -> Result<Self, OcclusionError> {
+        let (count, triangles) = (tree.prim_count(), solids.triangle_count());
+        if count != triangles {
+            return Err(OcclusionError::Triangles { count, triangles });
+        }
         let boxes = if solids.generators().is_empty() {
             Vec::new()
         } else {
@@ -187,7 +192,7 @@ impl KdVolumetric {
         let groups = grouped(solids.generators().iter().map(|g| g.bounds).collect());
         let mut group_pack = BoxPack::EMPTY;
         groups.iter().enumerate().for_each(|(i, group)| group_pack.set(i, group));
-        Self { tree, solids, boxes, remembered, groups, group_pack }
+        Ok(Self { tree, solids, boxes, remembered, groups, group_pack, id: unique_id() })
     }
 
     /// Whether the open segment meets any triangle.
@@ -203,6 +208,7 @@ impl KdVolumetric {
         scratch: &mut Scratch,
         stats: &mut impl Statistics,
     ) -> bool {
+        scratch.belong_to(self.id);
         let Scratch { single, caches, .. } = scratch;
         let [hit] = self.walk([ray], query, single, caches, stats);
         hit
@@ -229,6 +235,7 @@ impl KdVolumetric {
         stats: &mut impl Statistics,
     ) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
+        scratch.belong_to(self.id);
         let Scratch { packet, caches, .. } = scratch;
         for (rays, hits) in rays.chunks(4).zip(hits.chunks_mut(4)) {
             // A short packet is filled up with a ray that is not valid, which costs nothing.

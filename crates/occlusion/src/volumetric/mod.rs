@@ -27,6 +27,7 @@ mod classify;
 mod ends;
 mod grown;
 mod kd;
+mod object_mesh;
 mod solids;
 mod voxels;
 mod wide;
@@ -36,7 +37,8 @@ pub use cache::OccluderCache;
 pub use classify::{Classifier, classify};
 pub use ends::Ends;
 pub use kd::{KdVolumetric, KdVolumetricOptions, Query, Scratch};
-pub use solids::{Generator, Object, SolidOptions, Solids};
+pub use object_mesh::{Object, ObjectMesh};
+pub use solids::{Generator, SolidOptions, Solids};
 pub use wide::{
     Forecast, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidInstances,
     SolidInstancesScratch, SolidScratch,

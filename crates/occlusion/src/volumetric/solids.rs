@@ -1,5 +1,7 @@
 //! Which objects are solid: occluder generators (Djeu11, section 4.2), with caps over their holes.
 
+use super::ObjectMesh;
+use crate::OcclusionError;
 use std::ops::Range;
 use umbrage_accel::KdTree;
 use umbrage_geom::{
@@ -8,15 +10,6 @@ use umbrage_geom::{
     crosses_triangle,
     glam::{DVec3, Vec3},
 };
-
-/// A run of triangles that belong together.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Object {
-    /// Which triangles.
-    pub triangles: Range<u32>,
-    /// Whether no light passes them: others never make occluders (Djeu11, section 3.8.1).
-    pub opaque: bool,
-}
 
 /// Which objects may become generators.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +38,15 @@ impl SolidOptions {
     #[must_use]
     pub fn with_max_guard_area(self, max_guard_area: f32) -> Self {
         Self { max_guard_area, ..self }
+    }
+
+    pub(super) fn validate(&self) -> Result<(), OcclusionError> {
+        let (value, most) = (f64::from(self.max_guard_area), f64::MAX);
+        if (0.0..=most).contains(&value) {
+            Ok(())
+        } else {
+            Err(OcclusionError::Setting { what: "max_guard_area", value, least: 0.0, most })
+        }
     }
 }
 
@@ -79,27 +81,24 @@ pub struct Solids {
 const TEST_DIRECTION: Vec3 = Vec3::new(0.537_7, 0.833_9, -0.125_9);
 
 impl Solids {
-    /// Finds the generators among `objects` (the whole mesh as one opaque object if there are none).
+    /// Finds the generators among the objects of `mesh`.
     ///
     /// An object generates if its edges balance once its triangles are turned ([`audit::orient`]), or if caps over a few
     /// small holes make them.
     ///
-    /// # Panics
-    /// If a triangle names a vertex that does not exist, or an object triangles that don't.
-    pub fn find(
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
-        options: &SolidOptions,
-    ) -> Self {
+    /// # Errors
+    /// Those of [`ObjectMesh::validate`]; [`OcclusionError::Setting`].
+    pub fn find(mesh: &ObjectMesh<'_>, options: &SolidOptions) -> Result<Self, OcclusionError> {
+        mesh.validate()?;
+        options.validate()?;
+        let &ObjectMesh { positions, triangles, .. } = mesh;
         let mut solids = Self { turns: vec![0; triangles.len()], ..Self::default() };
-        let whole = [Object { triangles: 0..triangles.len() as u32, opaque: true }];
-        let objects = if objects.is_empty() { &whole } else { objects };
+        let objects = mesh.objects_or_whole();
         let welded = audit::weld(positions);
         for (index, object) in objects.iter().enumerate().filter(|(_, object)| object.opaque) {
             let range = object.triangles.start as usize..object.triangles.end as usize;
             let own = &triangles[range.clone()];
-            let orientation = audit::orient(positions, own, &welded);
+            let orientation = audit::orient(positions, own, &welded)?;
             let turned =
                 || own.iter().zip(&orientation.turns).filter(|(_, turn)| **turn != 0).map(|(t, _)| t);
             let corners = turned().flatten().map(|&v| positions[v as usize]);
@@ -123,7 +122,7 @@ impl Solids {
             solids.caps.extend(caps.triangles);
             solids.guards.extend(caps.guards);
         }
-        solids
+        Ok(solids)
     }
 
     /// The objects that generate.
@@ -144,6 +143,11 @@ impl Solids {
     /// Turn of a triangle in the surface, see [`Orientation::turns`].
     pub fn turn(&self, prim: u32) -> i32 {
         self.turns[prim as usize].into()
+    }
+
+    /// How many triangles the mesh has.
+    pub(super) fn triangle_count(&self) -> usize {
+        self.turns.len()
     }
 
     /// The closed surface of one generator.

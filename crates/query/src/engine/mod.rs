@@ -248,7 +248,7 @@ pub fn mask_rays(rays: u32) -> bool {
 /// The engine of a shadow method.
 ///
 /// # Errors
-/// [`QueryError::Unsupported`] with the reason; [`QueryError::Build`], [`QueryError::Prefilter`], [`QueryError::Cancelled`] of
+/// [`QueryError::Unsupported`] with the reason; [`QueryError::Build`], [`QueryError::Occlusion`], [`QueryError::Cancelled`] of
 /// the structures that are made for it.
 pub fn shadows<'a>(
     method: ShadowMethod,
@@ -286,7 +286,7 @@ pub(crate) fn solid_where_it_pays<'a>(
 /// The engine of an ambient occlusion method.
 ///
 /// # Errors
-/// [`QueryError::Unsupported`] with the reason; [`QueryError::Mask`], [`QueryError::Prefilter`], [`QueryError::Cancelled`] of the
+/// [`QueryError::Unsupported`] with the reason; [`QueryError::Mask`], [`QueryError::Occlusion`], [`QueryError::Cancelled`] of the
 /// structures that are made for it.
 pub fn sky<'a>(
     method: AoMethod,
@@ -327,7 +327,7 @@ pub fn sky<'a>(
 /// Makes the structures that `method` will ask for, so that [`sky`] finds them.
 ///
 /// # Errors
-/// [`QueryError::Prefilter`], [`QueryError::Mask`], [`QueryError::Cancelled`].
+/// [`QueryError::Occlusion`], [`QueryError::Mask`], [`QueryError::Cancelled`].
 pub fn prepare_sky(method: AoMethod, occluders: &Occluders, progress: Report<'_>) -> Result<(), QueryError> {
     match method {
         AoMethod::Prefilter => occluders.prefiltered(progress).map(drop),

@@ -5,7 +5,10 @@
 //! it, unless everything is prepared first ([`LazySolidBvh::prepare_all`]).
 
 use super::{Carved, SolidBvh, SolidBvhOptions, SolidScratch};
-use crate::volumetric::{Ends, Object, Solids};
+use crate::{
+    OcclusionError,
+    volumetric::{Ends, Object, ObjectMesh, Solids, object_mesh::unique_id},
+};
 use std::{
     ops::{AddAssign, ControlFlow, Range},
     sync::{
@@ -79,9 +82,11 @@ pub struct LazySolidBvh<'a> {
     current: Mutex<Arc<SolidBvh>>,
     /// Times that it was replaced.
     version: AtomicU32,
+    /// See [`unique_id`].
+    id: u64,
 }
 
-/// What a thread needs to trace rays. It belongs to one [`LazySolidBvh`].
+/// What a thread needs to trace rays. With another [`LazySolidBvh`] than before it starts anew.
 #[derive(Debug)]
 pub struct LazyScratch {
     current: Arc<SolidBvh>,
@@ -90,6 +95,8 @@ pub struct LazyScratch {
     /// Candidates that no thread had claimed when this was made, and how many had been then.
     waiting: Waiting,
     claims: usize,
+    /// [`LazySolidBvh::id`] of all this.
+    id: u64,
 }
 
 /// Unclaimed candidates.
@@ -104,19 +111,20 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<'a> LazySolidBvh<'a> {
-    /// Prepares nothing yet. `bvh` must be that of the mesh; without `objects` the whole mesh is one.
+    /// Prepares nothing yet. `bvh` must be that of the mesh.
     ///
-    /// # Panics
-    /// If a triangle names a vertex that does not exist, or an object triangles that don't.
-    pub fn new(
+    /// # Errors
+    /// Those of [`ObjectMesh::validate`]; [`OcclusionError::Setting`]; [`OcclusionError::Triangles`] if `bvh` has not as many
+    /// triangles as the mesh.
+    pub fn build(
         bvh: Arc<Bvh>,
-        positions: &'a [[f32; 3]],
-        triangles: &'a [[u32; 3]],
-        objects: &[Object],
+        mesh: &ObjectMesh<'a>,
         options: &SolidBvhOptions,
-    ) -> Self {
-        let whole = [Object { triangles: 0..triangles.len() as u32, opaque: true }];
-        let objects = if objects.is_empty() { &whole } else { objects };
+    ) -> Result<Self, OcclusionError> {
+        mesh.check_hierarchy(bvh.prim_count())?;
+        mesh.validate()?;
+        options.solids.validate()?;
+        let &ObjectMesh { positions, triangles, .. } = mesh;
         let candidate = |object: &Object| {
             let own = &triangles[object.triangles.start as usize..object.triangles.end as usize];
             let corners = own.iter().flatten().map(|&v| positions[v as usize]);
@@ -129,9 +137,9 @@ impl<'a> LazySolidBvh<'a> {
                 carved: OnceLock::new(),
             })
         };
-        let candidates = objects.iter().filter_map(candidate).collect();
-        let current = SolidBvh::new(bvh.clone(), Carved::default());
-        Self { positions, triangles, options: *options, candidates, ..Self::ready(current) }
+        let candidates = mesh.objects_or_whole().iter().filter_map(candidate).collect();
+        let current = SolidBvh::new(bvh, Carved::default());
+        Ok(Self { positions, triangles, options: *options, candidates, ..Self::ready(current) })
     }
 
     /// With all objects prepared already.
@@ -149,7 +157,13 @@ impl<'a> LazySolidBvh<'a> {
             publishing: Mutex::new(()),
             current: Mutex::new(Arc::new(built)),
             version: AtomicU32::new(0),
+            id: unique_id(),
         }
+    }
+
+    /// How many triangles the mesh has.
+    pub(super) fn prim_count(&self) -> usize {
+        self.bvh.prim_count()
     }
 
     /// What a thread needs to trace rays.
@@ -158,7 +172,7 @@ impl<'a> LazySolidBvh<'a> {
         let current = locked(&self.current).clone();
         let solid = current.scratch();
         let (waiting, claims) = self.waiting();
-        LazyScratch { current, version, solid, waiting, claims }
+        LazyScratch { current, version, solid, waiting, claims, id: self.id }
     }
 
     /// [`SolidBvh::any_hits`], and prepares what the rays reach.
@@ -230,6 +244,9 @@ impl<'a> LazySolidBvh<'a> {
     /// Prepares candidates that the rays reach, and takes over what other threads prepared.
     #[inline]
     pub(super) fn reach(&self, rays: &[Ray], scratch: &mut LazyScratch) {
+        if scratch.id != self.id {
+            *scratch = self.scratch();
+        }
         if !scratch.waiting.candidates.is_empty() {
             self.claim(rays, scratch);
         }
@@ -281,8 +298,9 @@ impl<'a> LazySolidBvh<'a> {
         let (first, last) = (used().min().unwrap_or(0), used().max().unwrap_or(0));
         let positions = &self.positions[first as usize..=last as usize];
         let triangles: Vec<[u32; 3]> = own.iter().map(|triangle| triangle.map(|v| v - first)).collect();
-        let found = Solids::find(positions, &triangles, &[], &self.options.solids);
-        Carved::new(positions, &triangles, &found)
+        // What was checked before holds for parts of it: without an error this is the object's part.
+        let found = Solids::find(&ObjectMesh::new(positions, &triangles), &self.options.solids);
+        Carved::new(positions, &triangles, &found.unwrap_or_default())
     }
 
     /// Puts boxes into use once they are half as many as those in use, or have waited long; so all of it takes no longer than

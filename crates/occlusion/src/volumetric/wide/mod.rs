@@ -16,7 +16,10 @@ pub use forecast::{Forecast, ShadowRays};
 pub use instances::{SolidInstances, SolidInstancesScratch};
 pub use lazy::{LazyScratch, LazySolidBvh, Prepared};
 
-use super::{Ends, Object, SolidOptions, Solids, carve::carve, ends, voxels::Voxels};
+use super::{
+    Ends, ObjectMesh, SolidOptions, Solids, carve::carve, ends, object_mesh::unique_id, voxels::Voxels,
+};
+use crate::OcclusionError;
 use std::sync::Arc;
 use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, Note, SolidPack, Statistics};
 use umbrage_geom::{Aabb, Ray, SlabRay, glam::Vec3};
@@ -140,16 +143,19 @@ pub struct SolidBvh {
     bvh: Arc<Bvh>,
     packs: Vec<Pack>,
     carved: Carved,
+    /// See [`unique_id`].
+    id: u64,
 }
 
-/// What a thread keeps from ray to ray: for each light the boxes that ended rays last.
-///
-/// It belongs to one [`SolidBvh`]: with another, remembered boxes would be wrong.
+/// What a thread keeps from ray to ray: for each light the boxes that ended rays last. With another [`SolidBvh`] than before it
+/// starts anew.
 #[derive(Clone, Debug, Default)]
 pub struct SolidScratch {
     lights: Vec<Light>,
     /// More than [`MOST_LIGHTS`] were seen.
     many: bool,
+    /// [`SolidBvh::id`] of the boxes.
+    id: u64,
 }
 
 /// By pack, for the first ones on ways from the root.
@@ -189,45 +195,45 @@ impl LightPack {
 }
 
 impl SolidBvh {
-    /// Finds generators among `objects` (the whole mesh if there are none) and puts boxes from inside of them into `bvh`, which
-    /// must be that of the mesh. It is copied if others use it too, and if there are any boxes.
+    /// Finds generators among the objects of `mesh` and puts boxes from inside of them into `bvh`, which must be that of the mesh.
+    /// It is copied if others use it too, and if there are any boxes.
     ///
-    /// # Panics
-    /// If a triangle names a vertex that does not exist, or an object triangles that don't.
+    /// # Errors
+    /// Those of [`Solids::find`]; [`OcclusionError::Triangles`] if `bvh` has not as many triangles as the mesh.
     pub fn build(
         bvh: Arc<Bvh>,
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
+        mesh: &ObjectMesh<'_>,
         options: &SolidBvhOptions,
-    ) -> Self {
-        let found = Solids::find(positions, triangles, objects, &options.solids);
-        Self::new(bvh, Carved::new(positions, triangles, &found))
+    ) -> Result<Self, OcclusionError> {
+        mesh.check_hierarchy(bvh.prim_count())?;
+        let found = Solids::find(mesh, &options.solids)?;
+        Ok(Self::new(bvh, Carved::new(mesh.positions, mesh.triangles, &found)))
     }
 
     /// [`Self::build`] where `rays` are expected to gain by it: there are 30 a triangle, [`Forecast::pays`], and generators have
     /// 4000 triangles, or 16,000 if rays come one by one. Nothing is copied otherwise, no box looked for if the audit of the
     /// objects says no, and nothing audited for fewer rays.
     ///
-    /// # Panics
+    /// # Errors
     /// As [`Self::build`].
     pub fn build_if_it_pays(
         bvh: &Arc<Bvh>,
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
-        rays: &ShadowRays,
+        mesh: &ObjectMesh<'_>,
+        rays: &ShadowRays<'_>,
         options: &SolidBvhOptions,
-    ) -> Option<Self> {
+    ) -> Result<Option<Self>, OcclusionError> {
+        mesh.check_hierarchy(bvh.prim_count())?;
+        let &ObjectMesh { positions, triangles, .. } = mesh;
         if rays.lights.is_empty() || rays.count < RAYS_PER_TRIANGLE * triangles.len() as f64 {
-            return None;
+            return Ok(None);
         }
-        let found = Solids::find(positions, triangles, objects, &options.solids);
+        let found = Solids::find(mesh, &options.solids)?;
         if !Forecast::may_pay(found.generators(), triangles.len(), rays) {
-            return None;
+            return Ok(None);
         }
         let carved = Carved::new(positions, triangles, &found);
-        carved.forecast(rays.lights, triangles.len()).pays().then(|| Self::new(bvh.clone(), carved))
+        let pays = carved.forecast(rays.lights, triangles.len()).pays();
+        Ok(pays.then(|| Self::new(bvh.clone(), carved)))
     }
 
     fn new(mut bvh: Arc<Bvh>, carved: Carved) -> Self {
@@ -244,7 +250,7 @@ impl SolidBvh {
                 owned.set_note(place.node, Note { index: packs.len() as u32, ..Note::default() });
             }
         }
-        Self { bvh, packs, carved }
+        Self { bvh, packs, carved, id: unique_id() }
     }
 
     /// What can be said of rays to `lights` (points; far away for distant ones).
@@ -264,7 +270,7 @@ impl SolidBvh {
 
     /// What a thread needs to trace rays.
     pub fn scratch(&self) -> SolidScratch {
-        SolidScratch::default()
+        SolidScratch { id: self.id, ..SolidScratch::default() }
     }
 
     /// [`Self::any_hit`], counted.
@@ -330,7 +336,10 @@ impl SolidBvh {
         scratch: &'a mut SolidScratch,
         watch: &'a mut W,
     ) -> Search<'a, W> {
-        let SolidScratch { lights, many } = scratch;
+        if scratch.id != self.id {
+            *scratch = self.scratch();
+        }
+        let SolidScratch { lights, many, .. } = scratch;
         if light.is_some_and(|light| light >= MOST_LIGHTS) {
             *many = true;
             lights.clear();
