@@ -7,7 +7,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 use std::time::Instant;
 use umbrage_accel::Bvh;
-use umbrage_aomask::{MaskTables, NodeMasks, Outputs, Receiver, TableOptions};
+use umbrage_aomask::{MaskTables, Outputs, Receiver, TableOptions, published::NodeMasks};
 
 /// Masks of all receivers as answers of single rays.
 pub fn bits(masks: &[u64], words: usize, rays: usize) -> Vec<bool> {

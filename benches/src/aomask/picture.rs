@@ -66,8 +66,7 @@ impl Picture {
         for _ in 0..passes {
             let start = Instant::now();
             let outputs = Outputs::new(&mut answer.ao).with_masks(&mut answer.masks);
-            let call =
-                RasterCall::new(tables, levels, &view).with_options(*options).with_raster(raster.clone());
+            let call = RasterCall::new(tables, levels, &view).with_options(*options).with_raster(*raster);
             answer.counters = case.one.install(|| call.run(outputs, &mut |_| true))?;
             answer.times.push(start.elapsed().as_secs_f64());
         }

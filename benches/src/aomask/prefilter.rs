@@ -15,7 +15,7 @@ use umbrage_aomask::{
     },
 };
 use umbrage_geom::{Falloff, glam::Vec3};
-use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
+use umbrage_occlusion::prefilter::{ConeQuery, ConeRay, PrefilterOptions, Prefiltered};
 use umbrage_reference::Question;
 
 /// Scenes of loose geometry.
@@ -53,7 +53,7 @@ const REFERENCE_RAYS: u32 = 8192;
 /// Prefiltered nodes beyond a distance.
 struct Nodes<'a> {
     scene: &'a Prefiltered,
-    query: Query,
+    query: ConeQuery,
     near: f32,
 }
 
@@ -134,7 +134,7 @@ impl Stored {
         Ok(match setting {
             Setting::Exact => Far::None,
             Setting::Nodes(share, threshold) => {
-                Far::Nodes(Nodes { scene: &self.nodes, query: Query::new(threshold)?, near: near(share) })
+                Far::Nodes(Nodes { scene: &self.nodes, query: ConeQuery::new(threshold)?, near: near(share) })
             }
             Setting::Field(share, cones) => {
                 let (near, march) = (near(share), MarchOptions::default().with_cones(cones));

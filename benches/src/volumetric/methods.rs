@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters, KdTree, Statistics, kdtree::Order};
 use umbrage_occlusion::volumetric::{
-    Classifier, Ends, KdVolumetric, KdVolumetricOptions, ObjectMesh, Query, Scratch, ShadowRays, SolidBvh,
-    SolidBvhOptions, Solids,
+    Ends, KdQuery, KdVolumetric, KdVolumetricOptions, KdVolumetricScratch, ObjectMesh, ShadowRays, SolidBvh,
+    SolidBvhOptions, Solids, published::Classifier,
 };
 use umbrage_query::{
     Engine, Occluders,
@@ -152,7 +152,7 @@ pub enum Use {
     Not,
     Plain,
     Cached,
-    /// By what the light's last rays met ([`Query::with_guide`]).
+    /// By what the light's last rays met ([`KdQuery::with_guide`]).
     Guided,
 }
 
@@ -259,11 +259,11 @@ impl Caster<'_> {
 
     fn run_kd(&self, scene: &Scene, shadows: &Shadows, hits: &mut [bool], stats: &mut impl Statistics) {
         let Kind::Kd(kd, order, how) = self.kind else { return };
-        let mut scratch = Scratch::default();
+        let mut scratch = KdVolumetricScratch::default();
         let ends = ends(scene, |region| kd.is_outside(region));
         for (light, range) in shadows.runs(self.call == Call::Together) {
             let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
-            let query = Query::default()
+            let query = KdQuery::default()
                 .with_order(order)
                 .with_ends(ends_of(&ends, light))
                 .with_light(light.filter(|_| [Use::Cached, Use::Guided].contains(&how)))
@@ -352,7 +352,7 @@ impl Caster<'_> {
                     "forecast_pays": forecast.pays(),
                     "occluder_hits": counters.solid_hits,
                     "cache_hits": counters.remembered_hits,
-                    "generators": solid.generator_count(),
+                    "generators": solid.solid_count(),
                 });
                 (Counters::default(), value)
             }

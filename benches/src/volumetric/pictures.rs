@@ -6,7 +6,7 @@ use image::{Rgb, RgbImage};
 use std::{fmt::Write as _, path::Path};
 use umbrage_accel::{Counters, kdtree::Order};
 use umbrage_geom::{Aabb, TriangleMesh};
-use umbrage_occlusion::volumetric::{Ends, Query, Scratch};
+use umbrage_occlusion::volumetric::{Ends, KdQuery, KdVolumetricScratch};
 
 /// Pixels along a side.
 const SIDE: u32 = 512;
@@ -62,9 +62,9 @@ struct Pixel {
 fn work(case: &Case, shadows: &Shadows, order: Order, occluders: bool) -> Vec<Pixel> {
     let mut pixels = vec![Pixel::default(); (SIDE * SIDE) as usize];
     let mut rays = vec![0.0f64; pixels.len()];
-    let mut scratch = Scratch::default();
+    let mut scratch = KdVolumetricScratch::default();
     for fan in &shadows.fans {
-        let query = Query::default().with_order(order).with_ends(Ends::Unknown).with_occluders(occluders);
+        let query = KdQuery::default().with_order(order).with_ends(Ends::Unknown).with_occluders(occluders);
         let query = query.with_light(Some(fan.light as usize));
         let mut c = Counters::default();
         for ray in &shadows.rays[fan.start as usize..fan.end as usize] {

@@ -7,7 +7,7 @@ use crate::{
     BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
     coarse::{Coarse, FarField},
     drive,
-    exact::{Masks, Veils},
+    exact::{DimmedMasks, Masks},
 };
 use umbrage_accel::Bvh;
 use umbrage_geom::OpticalDepth;
@@ -90,7 +90,7 @@ impl<'a> MaskCall<'a> {
         if options.sides == Sides::FrontFirst {
             return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
         }
-        let masks = Veils::new(self.masks(&outputs)?, depth_of);
+        let masks = DimmedMasks::new(self.masks(&outputs)?, depth_of);
         match self.far {
             None => drive::run(&masks, pattern, options, receivers, outputs, progress),
             Some(far) => {

@@ -4,7 +4,7 @@
 
 use crate::{
     MaskError, MaskOptions, Outputs, Pattern, Receiver,
-    gather::{Answers, Gathered, Wanted},
+    gather::{Answers, Gathered, OutputRequest},
 };
 use umbrage_geom::{Progress, morton};
 
@@ -36,7 +36,7 @@ pub(crate) fn run<E: Engine>(
 ) -> Result<(), MaskError> {
     options.validate(pattern)?;
     outputs.validate(receivers.len(), pattern.words())?;
-    let wanted = Wanted::new(&outputs);
+    let wanted = OutputRequest::new(&outputs);
     let points: Vec<[f32; 3]> = receivers.iter().map(|receiver| receiver.point().to_array()).collect();
     let order = morton::order(&points);
     let progress = Progress::new(order.len().div_ceil(BLOCK) as u64, progress);

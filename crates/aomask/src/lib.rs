@@ -20,5 +20,5 @@ pub use options::{MaskOptions, Outputs, Sides};
 pub use pattern::{Pattern, PatternOptions, Points};
 pub use raster::{RasterCall, RasterCamera, RasterLevel, RasterOptions, RasterView};
 pub use receiver::Receiver;
-pub use table::{MaskTables, NodeMasks, TableOptions};
+pub use table::{MaskTables, TableOptions};
 pub use umbrage_geom::simd::BackEnd;

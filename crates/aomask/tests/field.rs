@@ -255,6 +255,14 @@ fn bad_input_has_typed_errors() {
         let refused = FieldCones::new(&field, 32, near, radius, &march).unwrap_err();
         assert!(matches!(refused, MaskError::Radius(_)));
     }
+    for march in [
+        MarchOptions::default().with_cones(0),
+        MarchOptions::default().with_coarseness(0.0),
+        MarchOptions::default().with_coarseness(f32::NAN),
+    ] {
+        let refused = FieldCones::new(&field, 32, 0.1, 1.0, &march).unwrap_err();
+        assert!(matches!(refused, MaskError::Option { .. }));
+    }
     // A single point has no extent at all.
     let flat = OpacityField::build(&[[1.0; 3]; 3], &[[0, 1, 2]], &options, &mut |_| true).unwrap();
     assert_eq!(passed(&flat, 0.1, &cones(Vec3::ZERO, &[Vec3::X], 9.0), BackEnd::best()), [1.0]);

@@ -229,6 +229,13 @@ fn bad_views_and_levels_are_named() {
             Err(MaskError::Level { what: "range factor", .. })
         ));
     }
+    for footprint in [-1.0, f32::NAN, f32::INFINITY] {
+        let wide = view.with_footprint(footprint);
+        assert!(matches!(
+            call(&[level], &wide, 3.0, false),
+            Err(MaskError::Option { name: "footprint", .. })
+        ));
+    }
     let coarse = RasterLevel { error: 0.1, ..level };
     for levels in
         [&[coarse][..], &[level, coarse, coarse], &[level, RasterLevel { error: f32::NAN, ..level }]]

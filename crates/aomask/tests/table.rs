@@ -4,8 +4,8 @@ mod common;
 
 use common::*;
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, MaskTables, NodeMasks, Outputs, Pattern, PatternOptions, Sides,
-    TableOptions,
+    BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Sides, TableOptions,
+    published::NodeMasks,
 };
 use umbrage_geom::{Falloff, TriangleMesh, glam::Vec3};
 

@@ -15,8 +15,8 @@ use umbrage_geom::{
 };
 use umbrage_occlusion::OcclusionError;
 use umbrage_occlusion::volumetric::{
-    Classifier, Ends, KdVolumetric, KdVolumetricOptions, LazySolidBvh, Object, ObjectMesh, Query, Scratch,
-    ShadowRays, SolidBvh, SolidBvhOptions, SolidOptions,
+    Ends, KdQuery, KdVolumetric, KdVolumetricOptions, KdVolumetricScratch, LazySolidBvh, Object, ObjectMesh,
+    ShadowRays, SolidBvh, SolidBvhOptions, SolidOptions, published::Classifier,
 };
 
 fn orders() -> Vec<Order> {
@@ -64,10 +64,10 @@ proptest! {
         let built = kd(&mesh.0, &mesh.1, objects, &options);
         for back_end in [BackEnd::Scalar, BackEnd::Avx2].into_iter().filter(|b| b.is_supported()) {
             let built = built.clone().with_back_end(back_end).unwrap();
-            let mut scratch = Scratch::default();
+            let mut scratch = KdVolumetricScratch::default();
             for order in orders() {
                 for (light, guided) in [(None, false), (Some(1), false), (Some(2), true)] {
-                    let query = Query::default().with_order(order).with_light(light).with_guide(guided);
+                    let query = KdQuery::default().with_order(order).with_light(light).with_guide(guided);
                     let single: Vec<bool> = rays.iter().map(|ray| built.any_hit(ray, &query, &mut scratch)).collect();
                     prop_assert_eq!(&single, &truth, "{:?} {:?}", query, back_end);
                     let mut packets = vec![false; rays.len()];
@@ -143,7 +143,7 @@ proptest! {
         for leaf in a {
             let point = leaf.bounds.min + (leaf.bounds.max - leaf.bounds.min) * Vec3::from(at);
             let inside = point.cmpgt(leaf.bounds.min).all() && point.cmplt(leaf.bounds.max).all();
-            if leaf.state != LeafState::Boundary && inside && !trees[0].solids().generators().is_empty() {
+            if leaf.state != LeafState::Boundary && inside && !trees[0].solids().all().is_empty() {
                 let winding = trees[0].solids().winding_number_of(&mesh.0, &mesh.1, point);
                 prop_assert_eq!(leaf.state == LeafState::Opaque, winding != 0);
             }
@@ -162,13 +162,13 @@ const BALL: Part = (4, [0.0; 3], [1.0; 3], 11);
 #[test]
 fn a_ball_is_full_of_occluders_that_end_rays() {
     let (mesh, built) = build(&[BALL], &KdVolumetricOptions::default());
-    assert_eq!(built.solids().generators().len(), 1);
+    assert_eq!(built.solids().all().len(), 1);
     let volume: f64 =
         built.occluders().iter().map(|b| (b.max - b.min).as_dvec3()).map(DVec3::element_product).sum();
     assert!(volume > 0.4 * 4.19, "{volume}");
     assert!(built.occurrence_rate() > 0.05 && built.occurrence_rate() < 0.6);
-    let (mut counters, mut scratch) = (Counters::default(), Scratch::default());
-    let query = Query::default().with_light(Some(0));
+    let (mut counters, mut scratch) = (Counters::default(), KdVolumetricScratch::default());
+    let query = KdQuery::default().with_light(Some(0));
     for i in 0..200 {
         let angle = i as f32 * 0.1;
         let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
@@ -202,8 +202,8 @@ fn boxes_grow_over_cells_and_stay_inside() {
         }
     }
     // Rays that follow each other end at what the light remembers; those that pass look nothing up.
-    let (mut counters, mut scratch) = (Counters::default(), Scratch::default());
-    let query = Query::default().with_order(Order::SOLID).with_light(Some(0)).with_guide(true);
+    let (mut counters, mut scratch) = (Counters::default(), KdVolumetricScratch::default());
+    let query = KdQuery::default().with_order(Order::SOLID).with_light(Some(0)).with_guide(true);
     for i in 0..200 {
         let ray = Ray::between([0.0, 3.0, 0.0], [0.004 * i as f32 - 0.4, -3.0, 0.1]);
         assert!(built.any_hit_with(&ray, &query, &mut scratch, &mut counters));
@@ -221,10 +221,10 @@ fn boxes_grow_over_cells_and_stay_inside() {
 #[test]
 fn segments_inside_of_a_ball_hit_nothing() {
     let (_, built) = build(&[BALL], &KdVolumetricOptions::default());
-    let mut scratch = Scratch::default();
+    let mut scratch = KdVolumetricScratch::default();
     let mut counters = Counters::default();
     for order in orders() {
-        let query = Query::default().with_order(order).with_light(Some(0));
+        let query = KdQuery::default().with_order(order).with_light(Some(0));
         let inside = Ray::between([-0.3, 0.1, 0.0], [0.4, -0.2, 0.1]);
         assert!(!built.any_hit_with(&inside, &query, &mut scratch, &mut counters));
         let out = inside.with_tfar(10.0);
@@ -252,11 +252,11 @@ fn an_open_ball_has_occluders_for_rays_that_avoid_its_hole() {
     let mesh = bowl(0.9);
     let closed_only = KdVolumetricOptions::default().with_solids(SolidOptions::default().with_max_holes(0));
     let none = kd(&mesh.0, &mesh.1, &[], &closed_only);
-    assert!(none.solids().generators().is_empty() && none.occluders().is_empty());
+    assert!(none.solids().all().is_empty() && none.occluders().is_empty());
     let built = kd(&mesh.0, &mesh.1, &[], &KdVolumetricOptions::default());
-    assert_eq!((built.solids().generators()[0].holes, built.solids().guards().len()), (1, 1));
-    let (mut scratch, mut counters) = (Scratch::default(), Counters::default());
-    let query = Query::default();
+    assert_eq!((built.solids().all()[0].holes, built.solids().guards().len()), (1, 1));
+    let (mut scratch, mut counters) = (KdVolumetricScratch::default(), Counters::default());
+    let query = KdQuery::default();
     // Across, below the hole.
     assert!(built.any_hit_with(
         &Ray::between([-3.0, -0.1, 0.2], [3.0, 0.0, 0.0]),
@@ -280,7 +280,11 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
     let (mesh, objects) = mesh(&[BALL]);
     let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
     let built = wide(bvh, &mesh, &objects);
-    assert!(built.generator_count() == 1 && built.coverage(0) > 0.3 && !built.occluders().is_empty());
+    assert!(
+        built.solid_count() == 1
+            && built.coverage(0).is_some_and(|c| c > 0.3)
+            && !built.occluders().is_empty()
+    );
     for aabb in built.occluders() {
         let farthest = aabb.min.abs().max(aabb.max.abs());
         assert!(farthest.length() < 1.0, "{aabb:?}");
@@ -305,7 +309,7 @@ fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
     let mesh = bowl(0.9);
     let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
     let built = wide(bvh, &mesh, &[]);
-    assert!(built.generator_count() == 1);
+    assert!(built.solid_count() == 1);
     let mut scratch = built.scratch();
     assert!(!built.any_hit(&Ray::between([0.0; 3], [0.05, 4.0, 0.0]), Ends::Unknown, None, &mut scratch));
 }
@@ -355,10 +359,10 @@ fn flat_and_hopeless_objects_generate_nothing() {
     let (positions, triangles) = cube();
     let flat: Vec<[f32; 3]> = positions.iter().map(|p| [p[0], p[1], 0.5]).collect();
     let built = kd(&flat, &triangles, &[], &KdVolumetricOptions::default());
-    assert!(built.solids().generators().is_empty());
+    assert!(built.solids().all().is_empty());
     // Half of the cube is missing: the hole is larger than allowed.
     let built = kd(&positions, &triangles[..6], &[], &KdVolumetricOptions::default());
-    assert!(built.solids().generators().is_empty());
+    assert!(built.solids().all().is_empty());
     // Transparent objects never block.
     let clear = Object { triangles: 0..12, opaque: false };
     let built = kd(&positions, &triangles, &[clear], &KdVolumetricOptions::default());
@@ -371,9 +375,9 @@ fn scratch_of_another_structure_starts_anew() {
     let rays: Vec<Ray> =
         (0..50).map(|i| Ray::between([3.0, 0.01 * i as f32, 0.1], [-3.0, 0.0, 0.0])).collect();
     let [here, there] = [BALL, apart].map(|part| build(&[part], &KdVolumetricOptions::default()));
-    let query = Query::default().with_light(Some(0));
+    let query = KdQuery::default().with_light(Some(0));
     for query in [query, query.with_guide(true)] {
-        let mut scratch = Scratch::default();
+        let mut scratch = KdVolumetricScratch::default();
         for _ in 0..2 {
             assert!(rays.iter().all(|ray| here.1.any_hit(ray, &query, &mut scratch)));
             assert!(!rays.iter().any(|ray| there.1.any_hit(ray, &query, &mut scratch)));

@@ -318,10 +318,10 @@ impl<const N: usize, K: Kernel, S: Statistics> Walk<'_, N, K, S> {
     }
 }
 
-const NEAR: u8 = 0;
-const SOLID: u8 = 1;
-const BREADTH: u8 = 2;
-const QUICK: u8 = 3;
+const SEARCH_NEAR: u8 = 0;
+const SEARCH_SOLID: u8 = 1;
+const SEARCH_BREADTH: u8 = 2;
+const SEARCH_QUICK: u8 = 3;
 
 /// What blocks each ray.
 #[inline(always)]
@@ -351,10 +351,10 @@ pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: Statistics>(
     }
     let order = if walk.solid & walk.alive == 0 { Order::RAY } else { order };
     match order.search {
-        Search::Near => search::<N, NEAR, K, C, S>(walk, root, order, cells, scratch),
-        Search::Solid => search::<N, SOLID, K, C, S>(walk, root, order, cells, scratch),
-        Search::Breadth => search::<N, BREADTH, K, C, S>(walk, root, order, cells, scratch),
-        Search::Quick => search::<N, QUICK, K, C, S>(walk, root, order, cells, scratch),
+        Search::Near => search::<N, SEARCH_NEAR, K, C, S>(walk, root, order, cells, scratch),
+        Search::Solid => search::<N, SEARCH_SOLID, K, C, S>(walk, root, order, cells, scratch),
+        Search::Breadth => search::<N, SEARCH_BREADTH, K, C, S>(walk, root, order, cells, scratch),
+        Search::Quick => search::<N, SEARCH_QUICK, K, C, S>(walk, root, order, cells, scratch),
     }
 }
 
@@ -381,7 +381,7 @@ fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: Statistics>(
             } else {
                 let [left, right] = group.children(&entry, node);
                 let (into_left, into_right) = (left.lanes() & lanes, right.lanes() & lanes);
-                if SEARCH == BREADTH {
+                if SEARCH == SEARCH_BREADTH {
                     for (child, into) in [(left, into_left), (right, into_right)] {
                         if into != 0 {
                             push(entries, &mut tail, child);
@@ -396,9 +396,9 @@ fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: Statistics>(
                     continue;
                 } else {
                     let left_first =
-                        if SEARCH == SOLID { !node.right_first() } else { group.forward[node.axis()] };
+                        if SEARCH == SEARCH_SOLID { !node.right_first() } else { group.forward[node.axis()] };
                     let (first, second) = if left_first { (left, right) } else { (right, left) };
-                    if SEARCH == QUICK {
+                    if SEARCH == SEARCH_QUICK {
                         push(entries, &mut tail, first);
                         push(entries, &mut tail, second);
                     } else {
@@ -412,7 +412,7 @@ fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: Statistics>(
         if head == tail {
             break;
         }
-        if SEARCH == BREADTH || SEARCH == QUICK {
+        if SEARCH == SEARCH_BREADTH || SEARCH == SEARCH_QUICK {
             entry = entries[head];
             head += 1;
             if head == tail {

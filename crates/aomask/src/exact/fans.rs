@@ -22,7 +22,7 @@ use umbrage_geom::{OpticalDepth, Ray, glam::Vec3};
 pub const MAX_FAN: usize = 1024;
 
 /// Cosine of the half-angle below which a fan is narrow: 45 degrees.
-const NARROW: f32 = 0.7;
+const NARROW_FAN_COSINE: f32 = 0.7;
 
 /// Rays that a thread takes at a time, at least.
 const BLOCK: usize = 1 << 12;
@@ -119,7 +119,7 @@ fn check(rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: usize) -> Res
 
 /// Whether a fan is so narrow that the hierarchy's own batches answer it, and those after it, sooner (`docs/aomask-exact.md`).
 fn is_narrow(fan: &[Ray]) -> bool {
-    hull(fan).angle[0] > NARROW
+    hull(fan).angle[0] > NARROW_FAN_COSINE
 }
 
 /// Calls `job` with blocks of whole fans, on all threads of the caller's pool.

@@ -102,19 +102,19 @@ impl Engine for Masks<'_> {
 }
 
 /// [`Masks`] among semi-transparent triangles.
-pub(crate) struct Veils<'a, F> {
+pub(crate) struct DimmedMasks<'a, F> {
     masks: Masks<'a>,
     depth_of: F,
 }
 
-impl<'a, F: Fn(u32) -> OpticalDepth + Sync> Veils<'a, F> {
+impl<'a, F: Fn(u32) -> OpticalDepth + Sync> DimmedMasks<'a, F> {
     /// Not for [`Sides::FrontFirst`]. `depth_of` tells what a crossing of the triangle with an index adds.
     pub(crate) fn new(masks: Masks<'a>, depth_of: F) -> Self {
         Self { masks, depth_of }
     }
 }
 
-impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for Veils<'_, F> {
+impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for DimmedMasks<'_, F> {
     type Scratch = Walks;
 
     fn scratch(&self) -> Walks {

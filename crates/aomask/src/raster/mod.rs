@@ -26,7 +26,7 @@ pub use simplify::{SimplifiedLevel, simplified_levels};
 
 use crate::{
     MaskError, MaskOptions, MaskTables, Outputs, Receiver,
-    gather::{Answers, Wanted},
+    gather::{Answers, OutputRequest},
     table::TableSet,
 };
 use tile::{Draw, Level, Scratch, Setting, TILE, Tile};
@@ -72,6 +72,11 @@ impl<'a> RasterView<'a> {
 
     /// Checked receivers; pixel `i` has the seed `combine(seed, i)`.
     fn receivers(&self, seed: u32) -> Result<Vec<Option<Receiver>>, MaskError> {
+        // NaN is refused too.
+        if !(self.footprint >= 0.0 && self.footprint.is_finite()) {
+            let (name, value) = ("footprint", self.footprint);
+            return Err(MaskError::Option { name, value, expected: "a finite number from 0" });
+        }
         let points = (self.width as usize).saturating_mul(self.height as usize);
         for (what, actual) in [("points", self.points.len()), ("normals", self.normals.len())] {
             if actual != points {
@@ -124,8 +129,8 @@ impl<'a> RasterCall<'a> {
     ///
     /// # Errors
     /// [`MaskError::Build`] for geometry that can't be used; [`MaskError::Level`], [`MaskError::Radius`],
-    /// [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`],
-    /// [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
+    /// [`MaskError::Option`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`],
+    /// [`MaskError::Normal`], [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
     pub fn run(
         self,
         mut outputs: Outputs<'_>,
@@ -135,6 +140,7 @@ impl<'a> RasterCall<'a> {
         let pattern = tables.pattern();
         options.validate_for_tables(pattern)?;
         outputs.validate_for_tables()?;
+        raster.validate()?;
         let receivers = view.receivers(options.seed)?;
         outputs.validate(receivers.len(), pattern.words())?;
         let levels = lod::prepare(levels, &bounds(levels, &receivers), options, raster, pattern)?;
@@ -143,7 +149,8 @@ impl<'a> RasterCall<'a> {
         });
         let (masks, counters) = result?;
         let answers = Answers { masks, ..Answers::default() };
-        let gathered = Wanted::new(&outputs).gather(pattern, receivers.iter().map(Option::as_ref), &answers);
+        let gathered =
+            OutputRequest::new(&outputs).gather(pattern, receivers.iter().map(Option::as_ref), &answers);
         gathered.write(&mut outputs, 0..receivers.len());
         Ok(counters)
     }
@@ -180,9 +187,9 @@ impl<const W: usize> Raster<'_, W> {
         let setting = Setting {
             camera: self.view.camera,
             size,
-            footprint: f64::from(self.view.footprint.max(0.0)) + 1e-3,
+            footprint: f64::from(self.view.footprint) + 1e-3,
             sides: self.options.sides,
-            tests: self.raster.culling_tests.min(5) as usize,
+            tests: self.raster.culling_tests.into(),
             tables: self.set.triangle_tables(),
         };
         let progress = Progress::new((columns * rows) as u64, progress);

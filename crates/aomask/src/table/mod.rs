@@ -6,12 +6,12 @@
 
 mod edge;
 mod lanes;
-mod node_mask;
+pub(crate) mod node_mask;
 mod plane;
 mod traversal;
 mod triangle_mask;
 
-pub use node_mask::NodeMasks;
+use node_mask::NodeMasks;
 
 pub(crate) use lanes::{F8, V8};
 pub(crate) use triangle_mask::{TriangleTables, Triangles};
@@ -40,7 +40,7 @@ pub struct TableOptions {
     /// Cells along each side of the cube map of edges, 8 to 1024; 0 chooses by the number of rays. Equal to
     /// [`Self::planes`], edges have the cells that the paper gives them.
     pub edges: u32,
-    /// How the rays that may meet a node are found.
+    /// How the rays that may meet a node are found; a comparison of the paper.
     pub node_masks: NodeMasks,
     /// What queries run on.
     pub back_end: BackEnd,

@@ -1,13 +1,13 @@
 //! Prefiltered hierarchies placed several times: each is built once and shared.
 
-use super::{ConeRay, Prefiltered, Query};
+use super::{ConeQuery, ConeRay, Prefiltered};
 use crate::OcclusionError;
 use std::{ops::ControlFlow, sync::Arc};
 use umbrage_accel::{InstancedBvh, Statistics};
 use umbrage_geom::{Ray, glam::DMat3};
 
 /// Transmittance that counts as none: 10 bits.
-const BLACK: f32 = 1.0 / 1024.0;
+const BLOCKED_TRANSMITTANCE: f32 = 1.0 / 1024.0;
 
 /// Instances of prefiltered hierarchies, found by the top level of an [`InstancedBvh`].
 ///
@@ -50,13 +50,17 @@ impl<'a> PrefilteredInstances<'a> {
 
     /// Fraction of light that passes along `ray`, in `[0, 1]`: the product over instances, 0 below 2^-10 if `query` is not
     /// exact.
-    pub fn transmittance(&self, ray: &ConeRay, query: &Query) -> f32 {
+    pub fn transmittance(&self, ray: &ConeRay, query: &ConeQuery) -> f32 {
         self.transmittance_with(ray, query, &mut ())
     }
 
     /// [`Self::transmittance`], counted.
-    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl Statistics) -> f32 {
-        let black = if query.threshold() < f32::INFINITY && ray.solid_angle > 0.0 { BLACK } else { 0.0 };
+    pub fn transmittance_with(&self, ray: &ConeRay, query: &ConeQuery, stats: &mut impl Statistics) -> f32 {
+        let black = if query.threshold() < f32::INFINITY && ray.solid_angle > 0.0 {
+            BLOCKED_TRANSMITTANCE
+        } else {
+            0.0
+        };
         let mut passed = 1.0;
         // Two borrows of the statistics: the top level counts apart.
         let mut top = umbrage_accel::Counters::default();

@@ -1,15 +1,16 @@
 //! The hierarchy that callers hold: build, refit, queries.
 
 use super::{
-    Correlation, Directions, PrefilterOptions, Query, Storage,
+    ConeQuery, Directions, PrefilterOptions,
     correlation::may_stop,
     depths::Depths,
     fan::Answer,
     opacity::{levels, measure, sphere_areas},
+    published::Storage,
     storage::{Cube, Harmonics, Stored, averages, with_table},
 };
 use crate::OcclusionError;
-use umbrage_accel::{BuildError, BuildOptions, Bvh, Note, Statistics};
+use umbrage_accel::{BuildError, BuildOptions, Bvh, NodeNote, Statistics};
 use umbrage_geom::{Aabb, Progress, Ray, mesh::validate_slices};
 
 /// A ray that stands for a bundle of directions.
@@ -23,7 +24,7 @@ pub struct ConeRay {
 
 /// Memory of a prefiltered hierarchy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Bytes {
+pub struct PrefilteredBytes {
     /// Nodes, leaves and indices: what exact queries need.
     pub hierarchy: usize,
     /// Opacities, and which nodes may have one.
@@ -34,7 +35,7 @@ pub struct Bytes {
 
 /// A [`Bvh`] with a directional opacity in every node that may end rays.
 ///
-/// Approximate unless asked with [`Query::EXACT`], or for rays of solid angle 0: those answers are the bits of
+/// Approximate unless asked with [`ConeQuery::EXACT`], or for rays of solid angle 0: those answers are the bits of
 /// [`Bvh::transmittance`]. Results don't depend on the number of threads.
 ///
 /// # Source
@@ -117,12 +118,12 @@ impl Prefiltered {
     }
 
     /// Fraction of light that passes along `ray`, in `[0, 1]`.
-    pub fn transmittance(&self, ray: &ConeRay, query: &Query) -> f32 {
+    pub fn transmittance(&self, ray: &ConeRay, query: &ConeQuery) -> f32 {
         self.transmittance_with(ray, query, &mut ())
     }
 
     /// [`Self::transmittance`], counted.
-    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl Statistics) -> f32 {
+    pub fn transmittance_with(&self, ray: &ConeRay, query: &ConeQuery, stats: &mut impl Statistics) -> f32 {
         let mut passed = [1.0];
         self.answer(std::slice::from_ref(ray), query, &mut passed, stats);
         passed[0]
@@ -132,7 +133,7 @@ impl Prefiltered {
     ///
     /// # Panics
     /// If the slices differ in length.
-    pub fn transmittances(&self, rays: &[ConeRay], query: &Query, passed: &mut [f32]) {
+    pub fn transmittances(&self, rays: &[ConeRay], query: &ConeQuery, passed: &mut [f32]) {
         assert_eq!(rays.len(), passed.len(), "as many answers as rays");
         #[cfg(feature = "rayon")]
         {
@@ -151,7 +152,7 @@ impl Prefiltered {
     pub fn transmittances_with(
         &self,
         rays: &[ConeRay],
-        query: &Query,
+        query: &ConeQuery,
         passed: &mut [f32],
         stats: &mut impl Statistics,
     ) {
@@ -159,7 +160,7 @@ impl Prefiltered {
         self.answer(rays, query, passed, stats);
     }
 
-    fn answer(&self, rays: &[ConeRay], query: &Query, passed: &mut [f32], stats: &mut impl Statistics) {
+    fn answer(&self, rays: &[ConeRay], query: &ConeQuery, passed: &mut [f32], stats: &mut impl Statistics) {
         with_table!(&self.stored, table => {
             Answer::new((&self.bvh, &self.depths, table), self.directions, query, rays, passed).run(stats);
         });
@@ -191,8 +192,8 @@ impl Prefiltered {
     }
 
     /// Memory it holds.
-    pub fn bytes(&self) -> Bytes {
-        Bytes {
+    pub fn bytes(&self) -> PrefilteredBytes {
+        PrefilteredBytes {
             hierarchy: self.bvh.bytes(),
             opacities: self.stored.bytes(),
             triangle_opacities: self.depths.bytes(),
@@ -215,7 +216,7 @@ impl Prefiltered {
 fn place_rows(bvh: &mut Bvh, masks: &[u8]) -> usize {
     let mut slots = 0u32;
     for (node, mask) in masks.iter().enumerate() {
-        bvh.set_note(node as u32, Note { index: slots, marks: [0; 8] });
+        bvh.set_note(node as u32, NodeNote { index: slots, marks: [0; 8] });
         slots += (u8::BITS - mask.leading_zeros()).next_multiple_of(2);
     }
     slots as usize
@@ -245,10 +246,4 @@ fn stored(
             }
         }
     })
-}
-
-/// The correlation height of [`PrefilterOptions`] that lets every node end rays.
-impl Correlation {
-    /// Every node may end rays, single triangles excepted.
-    pub const ANYWHERE: Self = Self::Height(0.0);
 }

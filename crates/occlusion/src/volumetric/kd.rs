@@ -1,7 +1,10 @@
 //! Shadow rays through a kd-tree whose opaque cells end them.
 
 use super::{
-    BoxPack, Classifier, Ends, ObjectMesh, OccluderCache, SolidOptions, Solids, classify,
+    Ends, ObjectMesh, SolidOptions, Solids,
+    boxes::BoxPack,
+    cache::OccluderCache,
+    classify::{Classifier, classify},
     ends::{is_outside, region_is_outside},
     grown,
     object_mesh::unique_id,
@@ -67,7 +70,7 @@ pub struct KdVolumetric {
 /// What a thread needs to trace rays: lists of nodes and a cache for each light. With another [`KdVolumetric`] than before, caches
 /// start anew.
 #[derive(Clone, Debug, Default)]
-pub struct Scratch {
+pub struct KdVolumetricScratch {
     single: KdScratch<1>,
     packet: KdScratch<4>,
     caches: Vec<OccluderCache>,
@@ -75,7 +78,7 @@ pub struct Scratch {
     id: u64,
 }
 
-impl Scratch {
+impl KdVolumetricScratch {
     /// Forgets what belongs to another tree.
     #[inline]
     fn belong_to(&mut self, id: u64) {
@@ -97,7 +100,7 @@ impl Scratch {
 /// How rays are traced; answers don't depend on it, but [`Ends::Outside`] must be true.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Query {
+pub struct KdQuery {
     /// The traversal order.
     pub order: Order,
     /// What is known of the ends.
@@ -110,14 +113,14 @@ pub struct Query {
     pub guided: bool,
 }
 
-impl Default for Query {
+impl Default for KdQuery {
     /// [`Order::QUICK`] without a cache.
     fn default() -> Self {
         Self { order: Order::QUICK, ends: Ends::Unknown, light: None, occluders: true, guided: false }
     }
 }
 
-impl Query {
+impl KdQuery {
     /// With another order.
     #[must_use]
     pub fn with_order(self, order: Order) -> Self {
@@ -183,20 +186,17 @@ impl KdVolumetric {
         if count != triangles {
             return Err(OcclusionError::Triangles { count, triangles });
         }
-        let boxes = if solids.generators().is_empty() {
-            Vec::new()
-        } else {
-            classify(&mut tree, &solids, classifier)
-        };
+        let boxes =
+            if solids.all().is_empty() { Vec::new() } else { classify(&mut tree, &solids, classifier) };
         let (boxes, remembered) = grown::grow(&tree, boxes);
-        let groups = grouped(solids.generators().iter().map(|g| g.bounds).collect());
+        let groups = grouped(solids.all().iter().map(|g| g.bounds).collect());
         let mut group_pack = BoxPack::EMPTY;
         groups.iter().enumerate().for_each(|(i, group)| group_pack.set(i, group));
         Ok(Self { tree, solids, boxes, remembered, groups, group_pack, id: unique_id() })
     }
 
     /// Whether the open segment meets any triangle.
-    pub fn any_hit(&self, ray: &Ray, query: &Query, scratch: &mut Scratch) -> bool {
+    pub fn any_hit(&self, ray: &Ray, query: &KdQuery, scratch: &mut KdVolumetricScratch) -> bool {
         self.any_hit_with(ray, query, scratch, &mut ())
     }
 
@@ -204,12 +204,12 @@ impl KdVolumetric {
     pub fn any_hit_with(
         &self,
         ray: &Ray,
-        query: &Query,
-        scratch: &mut Scratch,
+        query: &KdQuery,
+        scratch: &mut KdVolumetricScratch,
         stats: &mut impl Statistics,
     ) -> bool {
         scratch.belong_to(self.id);
-        let Scratch { single, caches, .. } = scratch;
+        let KdVolumetricScratch { single, caches, .. } = scratch;
         let [hit] = self.walk([ray], query, single, caches, stats);
         hit
     }
@@ -218,7 +218,13 @@ impl KdVolumetric {
     ///
     /// # Panics
     /// If the slices differ in length.
-    pub fn any_hits(&self, rays: &[Ray], hits: &mut [bool], query: &Query, scratch: &mut Scratch) {
+    pub fn any_hits(
+        &self,
+        rays: &[Ray],
+        hits: &mut [bool],
+        query: &KdQuery,
+        scratch: &mut KdVolumetricScratch,
+    ) {
         self.any_hits_with(rays, hits, query, scratch, &mut ());
     }
 
@@ -230,13 +236,13 @@ impl KdVolumetric {
         &self,
         rays: &[Ray],
         hits: &mut [bool],
-        query: &Query,
-        scratch: &mut Scratch,
+        query: &KdQuery,
+        scratch: &mut KdVolumetricScratch,
         stats: &mut impl Statistics,
     ) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
         scratch.belong_to(self.id);
-        let Scratch { packet, caches, .. } = scratch;
+        let KdVolumetricScratch { packet, caches, .. } = scratch;
         for (rays, hits) in rays.chunks(4).zip(hits.chunks_mut(4)) {
             // A short packet is filled up with a ray that is not valid, which costs nothing.
             let none = Ray { tfar: f32::NAN, ..rays[0] };
@@ -250,13 +256,13 @@ impl KdVolumetric {
     fn walk<const N: usize>(
         &self,
         rays: [&Ray; N],
-        query: &Query,
+        query: &KdQuery,
         scratch: &mut KdScratch<N>,
         caches: &mut Vec<OccluderCache>,
         stats: &mut impl Statistics,
     ) -> [bool; N] {
         let found = if query.occluders && !self.boxes.is_empty() {
-            let cache = query.light.map(|light| Scratch::cache(caches, light));
+            let cache = query.light.map(|light| KdVolumetricScratch::cache(caches, light));
             if query.guided {
                 self.walk_guided(rays, query, scratch, cache, stats)
             } else {
@@ -282,7 +288,7 @@ impl KdVolumetric {
     fn walk_guided<const N: usize>(
         &self,
         rays: [&Ray; N],
-        query: &Query,
+        query: &KdQuery,
         scratch: &mut KdScratch<N>,
         mut cache: Option<&mut OccluderCache>,
         stats: &mut impl Statistics,

@@ -52,7 +52,7 @@ impl SolidOptions {
 
 /// An object that encloses space.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Generator {
+pub struct Solid {
     /// Index of the object.
     pub object: u32,
     /// Box around its turned triangles.
@@ -73,7 +73,7 @@ pub struct Solids {
     turns: Vec<i8>,
     caps: Vec<[[f32; 3]; 3]>,
     guards: Vec<Aabb>,
-    generators: Vec<Generator>,
+    all: Vec<Solid>,
 }
 
 /// Direction of test rays. Any will do: crossings are counted exactly ([`umbrage_geom::crosses_triangle`]), so that
@@ -110,7 +110,7 @@ impl Solids {
                 continue;
             }
             let first = solids.caps.len();
-            solids.generators.push(Generator {
+            solids.all.push(Solid {
                 object: index as u32,
                 bounds,
                 triangles: turned().count() as u32,
@@ -126,8 +126,8 @@ impl Solids {
     }
 
     /// The objects that generate.
-    pub fn generators(&self) -> &[Generator] {
-        &self.generators
+    pub fn all(&self) -> &[Solid] {
+        &self.all
     }
 
     /// Triangles over holes: they block nothing, but no cell that is used may touch one.
@@ -157,10 +157,10 @@ impl Solids {
         positions: &'a [[f32; 3]],
         triangles: &'a [[u32; 3]],
     ) -> Surface<'a> {
-        let Generator { range, caps, .. } = &self.generators[generator];
+        let Solid { range, caps, .. } = &self.all[generator];
         let range = range.start as usize..range.end as usize;
-        let first: u32 = self.generators[..generator].iter().map(|g| g.holes).sum();
-        let guards = first as usize..(first + self.generators[generator].holes) as usize;
+        let first: u32 = self.all[..generator].iter().map(|g| g.holes).sum();
+        let guards = first as usize..(first + self.all[generator].holes) as usize;
         Surface {
             positions,
             triangles: &triangles[range.clone()],
@@ -172,9 +172,7 @@ impl Solids {
 
     /// Whether a point of the closed `region` may be inside of anything.
     pub fn may_enclose(&self, region: &Aabb) -> bool {
-        self.generators
-            .iter()
-            .any(|g| g.bounds.min.cmple(region.max).all() && region.min.cmple(g.bounds.max).all())
+        self.all.iter().any(|g| g.bounds.min.cmple(region.max).all() && region.min.cmple(g.bounds.max).all())
     }
 
     /// Winding number of the surface around `point`, exact; `tree` holds the mesh.

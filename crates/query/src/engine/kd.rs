@@ -8,20 +8,20 @@ use crate::{Occluders, QueryError, ShadowMethod};
 use std::sync::{Arc, Mutex};
 use umbrage_accel::{Counters, Statistics, kdtree::Order};
 use umbrage_geom::Ray;
-use umbrage_occlusion::volumetric::{KdVolumetric, Query, Scratch};
+use umbrage_occlusion::volumetric::{KdQuery, KdVolumetric, KdVolumetricScratch};
 
 /// Rays that walk together.
 const PACKET: usize = 4;
 
 pub(super) struct Kd {
     method: ShadowMethod,
-    query: Query,
+    query: KdQuery,
     tree: Arc<KdVolumetric>,
-    memories: Mutex<Vec<Scratch>>,
+    memories: Mutex<Vec<KdVolumetricScratch>>,
 }
 
 /// How rays of `method` walk.
-fn query(method: ShadowMethod) -> Query {
+fn query(method: ShadowMethod) -> KdQuery {
     let (order, guided) = match method {
         ShadowMethod::KdVolumetric => (Order::SOLID, true),
         ShadowMethod::KdVolumetricSolid => (Order::SOLID, false),
@@ -30,7 +30,7 @@ fn query(method: ShadowMethod) -> Query {
         ShadowMethod::KdVolumetricQuick => (Order::QUICK, false),
         _ => (Order::RAY, false),
     };
-    Query::default().with_order(order).with_occluders(method != ShadowMethod::Kd).with_guide(guided)
+    KdQuery::default().with_order(order).with_occluders(method != ShadowMethod::Kd).with_guide(guided)
 }
 
 impl Kd {
@@ -48,8 +48,8 @@ impl Kd {
 fn in_packets(
     tree: &KdVolumetric,
     rays: &[LightRay],
-    query: &Query,
-    scratch: &mut Scratch,
+    query: &KdQuery,
+    scratch: &mut KdVolumetricScratch,
     passed: &mut [f32],
     stats: &mut impl Statistics,
 ) {
@@ -89,18 +89,18 @@ impl Engine for Kd {
 }
 
 impl Remembers for Kd {
-    type Memory = Scratch;
+    type Memory = KdVolumetricScratch;
 
     fn name(&self) -> &'static str {
         self.method.name()
     }
 
-    fn memories(&self) -> &Mutex<Vec<Scratch>> {
+    fn memories(&self) -> &Mutex<Vec<KdVolumetricScratch>> {
         &self.memories
     }
 
-    fn fresh(&self) -> Scratch {
-        Scratch::default()
+    fn fresh(&self) -> KdVolumetricScratch {
+        KdVolumetricScratch::default()
     }
 
     fn trace(
@@ -109,7 +109,7 @@ impl Remembers for Kd {
         light: Option<usize>,
         passed: &mut [f32],
         counters: Option<&mut Counters>,
-        scratch: &mut Scratch,
+        scratch: &mut KdVolumetricScratch,
     ) {
         let query = self.query.with_light(light);
         match counters {

@@ -5,7 +5,7 @@ use crate::{
     OcclusionError,
     volumetric::{Ends, object_mesh::unique_id},
 };
-use umbrage_accel::{Bvh, Insides, InstancedBvh, Statistics};
+use umbrage_accel::{Bvh, InstanceBoxes, InstancedBvh, Statistics};
 use umbrage_geom::Ray;
 
 /// Instances whose meshes have solid boxes; exact.
@@ -102,8 +102,8 @@ struct Entered<'a, 'b, W> {
     watch: &'a mut W,
 }
 
-impl<W: Watch> Insides for Entered<'_, '_, W> {
-    type Solids<'s>
+impl<W: Watch> InstanceBoxes for Entered<'_, '_, W> {
+    type SolidBoxes<'s>
         = Search<'s, W>
     where
         Self: 's;

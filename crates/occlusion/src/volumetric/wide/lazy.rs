@@ -20,11 +20,11 @@ use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality, Bvh, Statistics};
 use umbrage_geom::{Aabb, Ray};
 
 /// Fewest triangles that enclose space.
-const SMALLEST: usize = 4;
+const MIN_SOLID_TRIANGLES: usize = 4;
 
 /// Rays after which boxes are taken into use however few they are. Putting them into the hierarchy takes as long as tracing
 /// about so many.
-const LONGEST_WAIT: u64 = 1 << 18;
+const MAX_WAITING_RAYS: u64 = 1 << 18;
 
 /// An object that may generate.
 #[derive(Debug)]
@@ -129,7 +129,8 @@ impl<'a> LazySolidBvh<'a> {
             let own = &triangles[object.triangles.start as usize..object.triangles.end as usize];
             let corners = own.iter().flatten().map(|&v| positions[v as usize]);
             let bounds = corners.fold(Aabb::EMPTY, Aabb::with_point);
-            let solid = object.opaque && own.len() >= SMALLEST && bounds.min.cmplt(bounds.max).all();
+            let solid =
+                object.opaque && own.len() >= MIN_SOLID_TRIANGLES && bounds.min.cmplt(bounds.max).all();
             solid.then(|| Candidate {
                 triangles: object.triangles.clone(),
                 bounds,
@@ -230,7 +231,7 @@ impl<'a> LazySolidBvh<'a> {
         let ready = || self.candidates.iter().filter_map(|candidate| candidate.carved.get());
         let built = locked(&self.current).clone();
         if self.candidates.is_empty() {
-            let (generators, boxes) = (built.generator_count(), built.occluders().len());
+            let (generators, boxes) = (built.solid_count(), built.occluders().len());
             return Prepared { objects: generators, prepared: generators, generators, boxes };
         }
         Prepared {
@@ -309,7 +310,7 @@ impl<'a> LazySolidBvh<'a> {
     fn publish_if_due(&self, rays: u64) {
         let waited = self.waited.fetch_add(rays, Ordering::Relaxed) + rays;
         let (ready, published) = (self.ready.load(Ordering::Acquire), self.published.load(Ordering::Acquire));
-        if 2 * ready < 3 * published && waited < LONGEST_WAIT {
+        if 2 * ready < 3 * published && waited < MAX_WAITING_RAYS {
             return;
         }
         // One thread does it, and others go on with what they have.

@@ -21,7 +21,7 @@ use super::{
 };
 use crate::OcclusionError;
 use std::sync::Arc;
-use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, Note, SolidPack, Statistics};
+use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, NodeNote, SolidPack, Statistics};
 use umbrage_geom::{Aabb, Ray, SlabRay, glam::Vec3};
 
 /// Boxes of a pack.
@@ -99,7 +99,7 @@ struct Carved {
 impl Carved {
     fn new(positions: &[[f32; 3]], triangles: &[[u32; 3]], found: &Solids) -> Self {
         let mut this = Self::default();
-        for (index, generator) in found.generators().iter().enumerate() {
+        for (index, generator) in found.all().iter().enumerate() {
             let surface = found.surface(index, positions, triangles);
             // Boxes much larger than triangles are what counts, and about that many fit along a side.
             let resolution = (f64::from(generator.triangles).sqrt() / 4.0).clamp(24.0, MOST_VOXELS) as usize;
@@ -228,7 +228,7 @@ impl SolidBvh {
             return Ok(None);
         }
         let found = Solids::find(mesh, &options.solids)?;
-        if !Forecast::may_pay(found.generators(), triangles.len(), rays) {
+        if !Forecast::may_pay(found.all(), triangles.len(), rays) {
             return Ok(None);
         }
         let carved = Carved::new(positions, triangles, &found);
@@ -241,13 +241,13 @@ impl SolidBvh {
         if !carved.solids.is_empty() {
             let places = places::choose(&bvh, &carved.solids);
             let owned = Arc::make_mut(&mut bvh);
-            (0..owned.view().node_count() as u32).for_each(|node| owned.set_note(node, Note::default()));
+            (0..owned.view().node_count() as u32).for_each(|node| owned.set_note(node, NodeNote::default()));
             for place in places {
                 let mut pack = Pack { top: place.top, ..Pack::EMPTY };
                 let boxes = place.solids.iter().enumerate();
                 boxes.for_each(|(lane, &solid)| pack.set(lane, &carved.solids[solid as usize], solid));
                 packs.push(pack);
-                owned.set_note(place.node, Note { index: packs.len() as u32, ..Note::default() });
+                owned.set_note(place.node, NodeNote { index: packs.len() as u32, ..NodeNote::default() });
             }
         }
         Self { bvh, packs, carved, id: unique_id() }
@@ -368,7 +368,7 @@ impl SolidBvh {
     }
 
     /// Number of generators that have occluders.
-    pub fn generator_count(&self) -> usize {
+    pub fn solid_count(&self) -> usize {
         self.carved.interiors.len()
     }
 
@@ -382,12 +382,10 @@ impl SolidBvh {
         self.packs.len()
     }
 
-    /// Share of random lines through the bounds of generator `index` that its boxes stop, before any triangle is asked.
-    ///
-    /// # Panics
-    /// If there is no such generator.
-    pub fn coverage(&self, index: usize) -> f32 {
-        self.carved.interiors[index].coverage
+    /// Share of random lines through the bounds of generator `index` that its boxes stop, before any triangle is asked; `None` if
+    /// there is no such generator.
+    pub fn coverage(&self, index: usize) -> Option<f32> {
+        self.carved.interiors.get(index).map(|interior| interior.coverage)
     }
 
     /// The hierarchy.
@@ -482,7 +480,7 @@ impl<W> Search<'_, W> {
     }
 }
 
-impl<W: Watch> accel::Solids for Search<'_, W> {
+impl<W: Watch> accel::SolidBoxes for Search<'_, W> {
     #[inline(always)]
     fn pack(&self, index: u32) -> Option<&SolidPack> {
         self.find(index).map(|(pack, _)| &pack.boxes)

@@ -1,7 +1,12 @@
 //! The algorithm as published: a binary hierarchy, one correlation height, pixels, Algorithm 1 with its interpolation.
 //!
 //! Here to be measured against, and to see what each departure of [`super::Prefiltered`] is worth. Scalar and recursive; a
-//! cube map of `f32` in every node.
+//! cube map of `f32` in every node. And what else only comparisons need: published variants of parts of what ships, ablations and
+//! other forms of storage (`variants.rs`).
+
+mod variants;
+
+pub use variants::{Blend, CellSampling, Correlation, SegmentEnds, Storage};
 
 use super::{ConeRay, Directions, correlation::heights};
 use crate::OcclusionError;
@@ -86,7 +91,7 @@ impl Published {
             return Err(OcclusionError::Opacity { index: 0, value: alpha });
         }
         let options = super::PrefilterOptions::default()
-            .with_correlation(super::Correlation::Height(correlation_height))
+            .with_correlation(Correlation::Height(correlation_height))
             .with_directions(directions);
         let directions = options.validate()?;
         let corners: Vec<_> = triangles.iter().map(|t| t.map(|v| positions[v as usize])).collect();
