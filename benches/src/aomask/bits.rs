@@ -5,7 +5,7 @@ use crate::rows::{Output, Row};
 use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
-use umbrage_aomask::{BackEnd, Outputs, Pattern, PatternOptions, exact};
+use umbrage_aomask::{BackEnd, MaskCall, Outputs, Pattern, PatternOptions, Receiver};
 use workload::Workload;
 
 /// Rays of each number of rays and radius: over all scenes more than 10^8.
@@ -41,7 +41,9 @@ fn row(case: &Case, workload: &Workload, hits: &[bool], rays_s: f64, back_end: B
     let start = Instant::now();
     case.one.install(|| {
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
-        exact::answer(bvh, pattern, points, normals, options, back_end, outputs, &mut |_| true)
+        let receivers = Receiver::from_slices(points, normals, options.seed)?;
+        let call = MaskCall::new(bvh, pattern, &receivers, options).with_back_end(back_end);
+        call.answer(outputs, &mut |_| true)
     })?;
     let time_s = start.elapsed().as_secs_f64();
     let answers = bits(&masks, pattern.words(), pattern.len());

@@ -6,7 +6,7 @@ use anyhow::Result;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 use umbrage_accel::Bvh;
-use umbrage_aomask::{BackEnd, Outputs, exact};
+use umbrage_aomask::{BackEnd, MaskCall, Outputs, Receiver};
 
 /// Method `mask` on each back end with SIMD.
 pub fn entries<'a>(case: &'a Case, workload: &'a Workload) -> Result<Vec<Box<dyn Entry<bool> + 'a>>> {
@@ -74,8 +74,9 @@ impl Entry<bool> for MaskEntry<'_> {
         pool.unwrap_or(one).install(|| {
             let outputs = Outputs::new(ao).with_masks(masks);
             let Workload { points, normals, options, pattern, .. } = workload;
-            exact::answer(bvh, pattern, points, normals, options, *back_end, outputs, &mut |_| true)
-                .expect("valid receivers");
+            let receivers = Receiver::from_slices(points, normals, options.seed).expect("valid receivers");
+            let call = MaskCall::new(bvh, pattern, &receivers, options).with_back_end(*back_end);
+            call.answer(outputs, &mut |_| true).expect("valid receivers");
         });
         self.held = memory::peak_since(before);
     }

@@ -9,7 +9,7 @@ use anyhow::Result;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 use umbrage_accel::Bvh;
-use umbrage_aomask::{BackEnd, Sides, exact::fans};
+use umbrage_aomask::{BackEnd, exact::fans::FanCall};
 use umbrage_geom::{
     OpticalDepth, Ray,
     glam::{Vec2, Vec3},
@@ -150,15 +150,16 @@ trait Asked: Answer {
 
 impl Asked for bool {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]) {
-        fans::any_hits(bvh, rays, per_fan, Sides::Both, back_end, answers).expect("valid fans");
+        let call = FanCall::new(bvh, rays, per_fan).with_back_end(back_end);
+        call.any_hits(answers).expect("valid fans");
     }
 }
 
 impl Asked for OpticalDepth {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]) {
         let opacity = Self::from_opacity(ALPHA);
-        fans::transmittances(bvh, rays, per_fan, Sides::Both, |_| opacity, back_end, answers)
-            .expect("valid fans");
+        let call = FanCall::new(bvh, rays, per_fan).with_back_end(back_end);
+        call.transmittances(|_| opacity, answers).expect("valid fans");
     }
 }
 

@@ -70,7 +70,7 @@ fn table2(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
             let different = answer.masks.iter().zip(&all.masks).filter(|(a, b)| a != b).count();
             row.counters["different_words"] = json!(different);
             row.counters["fragments_relative"] =
-                json!(answer.counters.lookups as f64 / all.counters.lookups as f64);
+                json!(answer.counters.fragment_masks as f64 / all.counters.fragment_masks as f64);
             row.speedup = median(&all.times) / median(&answer.times);
             row.baseline = "all-tests";
             row.counters["paper_fragments_relative"] = json!(paper[which][0]);
@@ -164,9 +164,7 @@ fn walk(
     let mut ao = vec![0.0; pixels.len()];
     let bvh = case.ours.bvh();
     let start = Instant::now();
-    case.one.install(|| {
-        tables.answer_receivers(bvh, &receivers, options, Outputs::new(&mut ao), &mut |_| true)
-    })?;
+    case.one.install(|| tables.answer(bvh, &receivers, options, Outputs::new(&mut ao), &mut |_| true))?;
     let time_s = start.elapsed().as_secs_f64();
     let mut all = vec![1.0; picture.points.len()];
     pixels.iter().zip(ao).for_each(|(&i, ao)| all[i] = ao);

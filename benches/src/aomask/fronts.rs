@@ -23,7 +23,7 @@ pub fn entries<'a>(ours: &'a Ours, rays: &'a [Ray]) -> Vec<Box<dyn Entry<bool> +
 /// Whether each ray meets a front; those that share an origin walk together.
 pub fn front_hits(bvh: &Bvh, rays: &[Ray], hits: &mut [bool]) {
     hits.fill(false);
-    bvh.walk_fans(rays, &mut Fronts { rays, hits }, &mut ());
+    bvh.walk_fans_with(rays, &mut Fronts { rays, hits }, &mut ());
 }
 
 struct Fronts<'a> {

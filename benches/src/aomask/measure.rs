@@ -8,7 +8,7 @@ use crate::{
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::time::Instant;
-use umbrage_aomask::{MaskOptions, NodeMasks, Pattern, Sides};
+use umbrage_aomask::{MaskOptions, Pattern, Sides, published::NodeMasks};
 use umbrage_geom::Ray;
 
 /// Passes that pick the fastest entry of each method.

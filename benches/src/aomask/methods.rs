@@ -7,7 +7,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::{Value, json};
 use std::time::Instant;
 use umbrage_accel::Bvh;
-use umbrage_aomask::{MaskTables, NodeMasks, Outputs, Receiver, TableOptions};
+use umbrage_aomask::{MaskTables, Outputs, Receiver, TableOptions, published::NodeMasks};
 
 /// Masks of all receivers as answers of single rays.
 pub fn bits(masks: &[u64], words: usize, rays: usize) -> Vec<bool> {
@@ -74,9 +74,8 @@ impl Entry<bool> for TableEntry<'_> {
         pool.unwrap_or(one).install(|| {
             let outputs = Outputs::new(ao).with_masks(masks);
             let Workload { points, normals, options, .. } = workload;
-            tables
-                .tables
-                .answer(bvh, points, normals, options, outputs, &mut |_| true)
+            Receiver::from_slices(points, normals, options.seed)
+                .and_then(|receivers| tables.tables.answer(bvh, &receivers, options, outputs, &mut |_| true))
                 .expect("valid receivers");
         });
     }

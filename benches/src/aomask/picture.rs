@@ -5,9 +5,10 @@ use crate::rows::{Row, median};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::{path::Path, time::Instant};
+use umbrage_accel::Counters;
 use umbrage_aomask::{
-    MaskOptions, MaskTables, Outputs, Pattern, RasterLevel, RasterOptions, RasterView, Receiver,
-    TableOptions, raster::RasterCounters, rasterize,
+    MaskOptions, MaskTables, Outputs, Pattern, RasterCall, RasterLevel, RasterOptions, RasterView, Receiver,
+    TableOptions,
 };
 use umbrage_geom::{glam::Vec3, sampling::combine};
 
@@ -28,7 +29,7 @@ pub struct Answer {
     pub ao: Vec<f32>,
     pub masks: Vec<u64>,
     pub times: Vec<f64>,
-    pub counters: RasterCounters,
+    pub counters: Counters,
 }
 
 impl Picture {
@@ -60,14 +61,13 @@ impl Picture {
             ao: vec![0.0; self.points.len()],
             masks: vec![0; self.points.len() * tables.pattern().words()],
             times: Vec::new(),
-            counters: RasterCounters::default(),
+            counters: Counters::default(),
         };
         for _ in 0..passes {
             let start = Instant::now();
             let outputs = Outputs::new(&mut answer.ao).with_masks(&mut answer.masks);
-            answer.counters = case
-                .one
-                .install(|| rasterize(tables, levels, &view, options, raster, outputs, &mut |_| true))?;
+            let call = RasterCall::new(tables, levels, &view).with_options(*options).with_raster(*raster);
+            answer.counters = case.one.install(|| call.run(outputs, &mut |_| true))?;
             answer.times.push(start.elapsed().as_secs_f64());
         }
         Ok(answer)
@@ -138,8 +138,8 @@ pub fn row(case: &Case, picture: &Picture, pattern: &Pattern, answer: &Answer, p
             "prisms": counters.prisms,
             "billboards": counters.billboards,
             "fragments": counters.fragments,
-            "fragments_after": counters.after,
-            "lookups": counters.lookups,
+            "fragments_after": counters.fragments_after,
+            "lookups": counters.fragment_masks,
         }),
         baseline: "rays",
         speedup: 0.0,

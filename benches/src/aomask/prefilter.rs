@@ -8,15 +8,14 @@ use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
 use umbrage_aomask::{
-    BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
+    MaskCall, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
     coarse::{
-        self, Cones, FarField,
+        Cones, FarField,
         field::{FieldCones, FieldOptions, MarchOptions, OpacityField},
     },
-    exact,
 };
 use umbrage_geom::{Falloff, glam::Vec3};
-use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
+use umbrage_occlusion::prefilter::{ConeQuery, ConeRay, PrefilterOptions, Prefiltered};
 use umbrage_reference::Question;
 
 /// Scenes of loose geometry.
@@ -54,7 +53,7 @@ const REFERENCE_RAYS: u32 = 8192;
 /// Prefiltered nodes beyond a distance.
 struct Nodes<'a> {
     scene: &'a Prefiltered,
-    query: Query,
+    query: ConeQuery,
     near: f32,
 }
 
@@ -93,16 +92,15 @@ struct Run<'a> {
 impl Timed for Run<'_> {
     fn run(&mut self) {
         let Self { case, pattern, receivers, options, far, ao } = self;
-        let (bvh, best, outputs) = (case.ours.bvh(), BackEnd::best(), Outputs::new(ao));
+        let (bvh, outputs) = (case.ours.bvh(), Outputs::new(ao));
         let silent = &mut |_| true;
         case.one
-            .install(|| match far {
-                Far::None => exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, silent),
-                Far::Nodes(far) => {
-                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, silent)
-                }
-                Far::Field(far) => {
-                    coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, silent)
+            .install(|| {
+                let call = MaskCall::new(bvh, pattern, receivers, options);
+                match far {
+                    Far::None => call.answer(outputs, silent),
+                    Far::Nodes(far) => call.with_far(far).answer(outputs, silent),
+                    Far::Field(far) => call.with_far(far).answer(outputs, silent),
                 }
             })
             .expect("valid arguments");
@@ -136,12 +134,11 @@ impl Stored {
         Ok(match setting {
             Setting::Exact => Far::None,
             Setting::Nodes(share, threshold) => {
-                Far::Nodes(Nodes { scene: &self.nodes, query: Query::new(threshold)?, near: near(share) })
+                Far::Nodes(Nodes { scene: &self.nodes, query: ConeQuery::new(threshold)?, near: near(share) })
             }
             Setting::Field(share, cones) => {
                 let (near, march) = (near(share), MarchOptions::default().with_cones(cones));
-                let best = BackEnd::best();
-                Far::Field(FieldCones::new(&self.field, rays as usize, near, radius, &march, best)?)
+                Far::Field(FieldCones::new(&self.field, rays as usize, near, radius, &march)?)
             }
         })
     }

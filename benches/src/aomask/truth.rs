@@ -13,9 +13,7 @@ use anyhow::Result;
 use serde_json::{Value, json};
 use std::{f64::consts::TAU, path::PathBuf};
 use umbrage_aomask::{
-    BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
-    exact::{self, adaptive::Spent},
-    published,
+    MaskCall, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, exact::adaptive::Spent, published,
 };
 use umbrage_geom::{
     Falloff, TriangleMesh,
@@ -379,11 +377,8 @@ pub fn patterns(options: &Options, output: &mut Output) -> Result<()> {
                 .map(|(pattern, ao)| {
                     let (receivers, options) = (&case.receivers, &mask_options);
                     move || {
-                        let (outputs, best) = (Outputs::new(ao), BackEnd::best());
-                        exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, &mut |_| {
-                            true
-                        })
-                        .expect("valid arguments");
+                        let call = MaskCall::new(bvh, pattern, receivers, options);
+                        call.answer(Outputs::new(ao), &mut |_| true).expect("valid arguments");
                     }
                 })
                 .collect();

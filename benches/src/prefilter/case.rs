@@ -10,7 +10,7 @@ use umbrage_geom::{
     offset_origin,
     sampling::{SphericalRectangle, combine, cosine_hemisphere, hash, stratified, unit},
 };
-use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
+use umbrage_occlusion::prefilter::{ConeQuery, ConeRay, PrefilterOptions, Prefiltered};
 
 /// Rays of the exact answers that errors refer to.
 const REFERENCE: u32 = 576;
@@ -385,8 +385,8 @@ impl Case {
     }
 
     /// Threshold that the renderer uses for the workload.
-    pub fn query(&self) -> Query {
+    pub fn query(&self) -> ConeQuery {
         let threshold = if let Workload::Shadow = self.source.workload { 0.2 } else { 0.3 };
-        Query::new(threshold).expect("above 0")
+        ConeQuery::new(threshold).expect("above 0")
     }
 }

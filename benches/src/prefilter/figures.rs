@@ -14,8 +14,8 @@ use std::{path::Path, time::Instant};
 use umbrage_accel::Statistics;
 use umbrage_geom::{Ray, sampling::RandomStream};
 use umbrage_occlusion::prefilter::{
-    Blend, CellSampling, ConeRay, Correlation, PrefilterOptions, Prefiltered, Query, SegmentEnds, Storage,
-    published::Published,
+    ConeQuery, ConeRay, PrefilterOptions, Prefiltered,
+    published::{Blend, CellSampling, Correlation, Published, SegmentEnds, Storage},
 };
 use umbrage_scene::generate::{ParameterValue, Parameters, generate};
 
@@ -39,7 +39,7 @@ fn error_row(case: &Case, method: &str, params: Value, (rmse, bias): (f64, f64),
 }
 
 /// Answers of all receivers.
-fn answers(scene: &Prefiltered, cones: &[ConeRay], query: &Query) -> Vec<f32> {
+fn answers(scene: &Prefiltered, cones: &[ConeRay], query: &ConeQuery) -> Vec<f32> {
     let mut passed = vec![0.0; cones.len()];
     scene.transmittances(cones, query, &mut passed);
     passed
@@ -56,7 +56,7 @@ pub fn variance(case: &Case, trials: u32, plots: Option<&Path>, output: &mut Out
     cones.iter_mut().for_each(|c| c.solid_angle = solid_angle);
     let mut series = Vec::new();
     for (name, query) in
-        [("bvh", Query::EXACT), ("prefilter", Query::new(2.0)?), ("prefilter", Query::new(0.1)?)]
+        [("bvh", ConeQuery::EXACT), ("prefilter", ConeQuery::new(2.0)?), ("prefilter", ConeQuery::new(0.1)?)]
     {
         let image = answers(&scene, &cones, &query);
         let mean = image.iter().map(|&x| f64::from(x)).sum::<f64>() / image.len() as f64;
@@ -129,7 +129,7 @@ impl Levels {
 }
 
 impl Statistics for Levels {
-    fn ends(&mut self, node: u32, slots: u32) {
+    fn ended_at_node(&mut self, node: u32, slots: u32) {
         let ends = u64::from(slots.count_ones());
         self.ends += ends;
         self.sum += ends * u64::from(self.of_node[node as usize]);
@@ -143,7 +143,7 @@ pub fn convergence(case: &Case, output: &mut Output) -> Result<()> {
         let cones = case.rays(Kind::Whole, rays, 5);
         let mut passed = vec![0.0; cones.len()];
         let mut levels = Levels::new(&scene);
-        scene.transmittances_with(&cones, &Query::new(0.2)?, &mut passed, &mut levels);
+        scene.transmittances_with(&cones, &ConeQuery::new(0.2)?, &mut passed, &mut levels);
         let counters = json!({
             "ends_a_ray": levels.ends as f64 / cones.len() as f64,
             "mean_level": levels.sum as f64 / levels.ends.max(1) as f64, "levels": levels.count,
@@ -224,7 +224,7 @@ pub fn bias(case: &Case, output: &mut Output) -> Result<()> {
             vec![
                 ("default", query),
                 ("whole crossings", whole),
-                ("any angle", query.with_widest(1e3)),
+                ("any angle", query.with_widest(1e3)?),
                 ("no blending", query.with_blend(Blend::None)),
             ],
         ),
@@ -236,7 +236,7 @@ pub fn bias(case: &Case, output: &mut Output) -> Result<()> {
         (default.with_storage(Storage::Average), vec![("no directions", query)]),
         (
             height(5.0).with_sampling(CellSampling::Center),
-            vec![("as published, K = 5", whole.with_widest(1e3))],
+            vec![("as published, K = 5", whole.with_widest(1e3)?)],
         ),
     ];
     let cones = [4, 16].map(|rays| (rays, case.rays(Kind::Whole, rays, 5)));

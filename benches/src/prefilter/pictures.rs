@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use image::{Rgb, RgbImage};
 use std::path::Path;
 use umbrage_geom::{Ray, glam::Vec3};
-use umbrage_occlusion::prefilter::{ConeRay, PrefilterOptions, Prefiltered, Query};
+use umbrage_occlusion::prefilter::{ConeQuery, ConeRay, PrefilterOptions, Prefiltered};
 
 /// Pixels between the pictures of a sheet.
 const GAP: u32 = 4;
@@ -68,7 +68,7 @@ pub fn worms_eye(case: &Case, scene: &Prefiltered, size: u32, folder: &Path) -> 
     };
     let cones: Vec<ConeRay> = (0..size * size).map(pixel).collect();
     let mut row = Vec::new();
-    for query in [Query::EXACT, Query::new(2.0)?, Query::new(0.1)?] {
+    for query in [ConeQuery::EXACT, ConeQuery::new(2.0)?, ConeQuery::new(0.1)?] {
         let mut passed = vec![0.0; cones.len()];
         scene.transmittances(&cones, &query, &mut passed);
         row.push(RgbImage::from_fn(size, size, |x, y| grey(passed[(y * size + x) as usize])));

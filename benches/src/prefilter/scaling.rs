@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 use umbrage_accel::Counters;
 use umbrage_geom::Ray;
-use umbrage_occlusion::prefilter::{PrefilterOptions, Prefiltered, Query};
+use umbrage_occlusion::prefilter::{ConeQuery, PrefilterOptions, Prefiltered};
 use umbrage_scene::generate::{Parameters, generate};
 
 /// Rays a receiver.
@@ -23,18 +23,18 @@ const PASSES: usize = 5;
 /// Who answers: exact rays without a query.
 struct Caster {
     method: &'static str,
-    query: Option<Query>,
+    query: Option<ConeQuery>,
 }
 
 /// The default, and attempts to depend less on the number of triangles: rays end however near nodes are, or sooner.
 fn ways(case: &Case) -> Result<[Caster; 4]> {
     let default = case.query();
-    let sooner = Query::new(0.25 * default.threshold())?;
+    let sooner = ConeQuery::new(0.25 * default.threshold())?;
     Ok([
         Caster { method: "bvh", query: None },
         Caster { method: "prefilter", query: Some(default) },
-        Caster { method: "prefilter-any-angle", query: Some(default.with_widest(1e3)) },
-        Caster { method: "prefilter-sooner", query: Some(sooner.with_widest(1e3)) },
+        Caster { method: "prefilter-any-angle", query: Some(default.with_widest(1e3)?) },
+        Caster { method: "prefilter-sooner", query: Some(sooner.with_widest(1e3)?) },
     ])
 }
 

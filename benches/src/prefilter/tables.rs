@@ -12,7 +12,7 @@ use umbrage_geom::{
     sampling::RandomStream,
 };
 use umbrage_occlusion::prefilter::{
-    ConeRay, PrefilterOptions, Prefiltered, PrefilteredInstances, Query, Storage,
+    ConeQuery, ConeRay, PrefilterOptions, Prefiltered, PrefilteredInstances, published::Storage,
 };
 use umbrage_scene::generate::{Parameters, generate};
 
@@ -156,7 +156,7 @@ pub fn forest(quick: bool, output: &mut Output) -> Result<()> {
     };
     let truth = mean(fans(256, 7).iter().map(exact).collect(), 256);
     let cones = fans(rays, 5);
-    let query = Query::new(0.2)?;
+    let query = ConeQuery::new(0.2)?;
     let (mut a, mut b) = (Vec::new(), Vec::new());
     let (mut of_exact, mut of_own) = (
         || a = cones.iter().map(exact).collect::<Vec<f32>>(),

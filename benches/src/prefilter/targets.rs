@@ -11,7 +11,9 @@ use anyhow::Result;
 use serde_json::json;
 use std::path::Path;
 use umbrage_geom::{OpticalDepth, Ray};
-use umbrage_occlusion::prefilter::{ConeRay, Correlation, PrefilterOptions, Prefiltered, Query};
+use umbrage_occlusion::prefilter::{
+    ConeQuery, ConeRay, PrefilterOptions, Prefiltered, published::Correlation,
+};
 
 /// Errors at which times are compared.
 const TARGETS: [f64; 4] = [0.05, 0.04, 0.03, 0.02];
@@ -38,7 +40,7 @@ const HEIGHT_0: &str = "prefilter-height-0";
 enum Answerer<'a> {
     Exact,
     Stochastic,
-    Prefiltered(&'a Prefiltered, Query),
+    Prefiltered(&'a Prefiltered, ConeQuery),
     /// The entry of the peer that was fastest in a heat.
     Peer(Box<dyn Entry<bool> + 'a>),
     PeerAlpha(Box<dyn Entry<OpticalDepth> + 'a>),
@@ -99,7 +101,7 @@ impl Timed for Point<'_> {
 struct Curve<'a> {
     method: CurveName,
     scene: &'a Prefiltered,
-    query: Query,
+    query: ConeQuery,
 }
 
 /// The threshold of a method's curve; `None` of exact ones.
@@ -160,7 +162,7 @@ pub fn run(
         if let Workload::Shadow = case.source.workload { [0.05f32, 0.1, 0.2] } else { [0.1, 0.3, 0.6] };
     let mut curves = Vec::new();
     for (i, t) in thresholds.into_iter().enumerate() {
-        curves.push(Curve { method: (PREFILTER, i), scene: &scene, query: Query::new(t)? });
+        curves.push(Curve { method: (PREFILTER, i), scene: &scene, query: ConeQuery::new(t)? });
     }
     let figure = "1, 7, 8";
     let bytes = bytes(&scene);
@@ -184,9 +186,9 @@ pub fn rules(case: &Case, passes: usize, output: &mut Output) -> Result<()> {
     let query = case.query();
     let curves = [
         (PREFILTER, &scene, query),
-        (ANY_ANGLE, &scene, query.with_widest(1e3)),
-        (FAR_2, &scene, query.with_widest(0.5 * Query::WIDEST)),
-        (FAR_4, &scene, query.with_widest(0.25 * Query::WIDEST)),
+        (ANY_ANGLE, &scene, query.with_widest(1e3)?),
+        (FAR_2, &scene, query.with_widest(0.5 * ConeQuery::WIDEST)?),
+        (FAR_4, &scene, query.with_widest(0.25 * ConeQuery::WIDEST)?),
         (HEIGHT_5, &height_5, query),
         (HEIGHT_0, &height_0, query),
     ]

@@ -9,9 +9,9 @@ use anyhow::Result;
 use serde_json::json;
 use std::{sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters};
-use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, exact};
+use umbrage_aomask::{MaskCall, MaskOptions, Outputs, Pattern, PatternOptions, Receiver};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3};
-use umbrage_occlusion::volumetric::{Ends, SolidBvh, SolidBvhOptions, SolidCounters};
+use umbrage_occlusion::volumetric::{Ends, ObjectMesh, SolidBvh, SolidBvhOptions};
 
 /// Closed meshes, on a ground.
 const MESHES: [&str; 3] = ["bunny_60k", "armadillo_86k", "dragon_871k"];
@@ -53,7 +53,8 @@ pub fn rows(options: &Options, output: &mut Output) -> Result<()> {
         let bvh_s = start.elapsed().as_secs_f64();
         let start = Instant::now();
         let options_of = SolidBvhOptions::default();
-        let solid = SolidBvh::build(bvh.clone(), positions, triangles, &scene.objects, &options_of);
+        let parts = ObjectMesh::new(positions, triangles).with_objects(&scene.objects);
+        let solid = SolidBvh::build(bvh.clone(), &parts, &options_of)?;
         let built = Built { bvh, bvh_s, solid, solid_s: start.elapsed().as_secs_f64() };
         // The ground is the last object.
         let body = scene.objects.first().map_or(0..0, |object| object.triangles.clone());
@@ -125,8 +126,10 @@ fn measure(
     let mut by_masks = || {
         one.install(|| {
             let outputs = Outputs::new(&mut ao).with_masks(&mut words);
-            let (bvh, best) = (&built.bvh, BackEnd::best());
-            exact::answer(bvh, &pattern, &points, &normals, &masks, best, outputs, &mut |_| true)
+            Receiver::from_slices(&points, &normals, masks.seed)
+                .and_then(|asked| {
+                    MaskCall::new(&built.bvh, &pattern, &asked, &masks).answer(outputs, &mut |_| true)
+                })
                 .expect("valid arguments");
         });
     };
@@ -139,11 +142,11 @@ fn measure(
             words[receiver * pattern.words() + ray / 64] >> (ray % 64) & 1 == 1
         })
         .collect();
-    let (mut walk, mut counted) = (Counters::default(), SolidCounters::default());
+    let (mut walk, mut counted) = (Counters::default(), Counters::default());
     let mut scratch = built.solid.scratch();
     for ray in &rays {
         built.bvh.any_hit_with(ray, &mut walk);
-        built.solid.any_hit_counted(ray, Ends::Unknown, None, &mut scratch, &mut counted);
+        built.solid.any_hit_with(ray, Ends::Unknown, None, &mut scratch, &mut counted);
     }
     let occluded = hits[0].iter().filter(|&&hit| hit).count();
     for (i, method) in METHODS.into_iter().enumerate() {
@@ -154,8 +157,8 @@ fn measure(
             counters["nodes"] = json!(walk.nodes);
             counters["triangle_tests"] = json!(walk.triangle_tests);
         } else if i == 1 {
-            counters["nodes"] = json!(counted.walk.nodes);
-            counters["triangle_tests"] = json!(counted.walk.triangle_tests);
+            counters["nodes"] = json!(counted.nodes);
+            counters["triangle_tests"] = json!(counted.triangle_tests);
             counters["occluder_hits"] = json!(counted.solid_hits);
         }
         let time_s = median(&times[i]);

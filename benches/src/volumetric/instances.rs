@@ -7,7 +7,7 @@ use serde_json::json;
 use std::{path::Path, sync::Arc, time::Instant};
 use umbrage_accel::{BuildOptions, Bvh, Counters, InstancedBvh, Placement};
 use umbrage_geom::{Ray, TriangleMesh, glam::Affine3A, sampling::RandomStream};
-use umbrage_occlusion::volumetric::{LazySolidBvh, SolidBvhOptions, SolidCounters, SolidInstances};
+use umbrage_occlusion::volumetric::{LazySolidBvh, ObjectMesh, SolidBvhOptions, SolidInstances};
 
 /// Name of the scene.
 pub const NAME: &str = "36-instances";
@@ -34,7 +34,7 @@ pub fn measure(folder: &Path, options: &Options, output: &mut Output) -> Result<
     let top = InstancedBvh::build(bvhs.clone(), &placements)?;
     let build_s = start.elapsed().as_secs_f64();
     let lazy = |(bvh, mesh): (&Arc<Bvh>, _)| lazy(bvh.clone(), mesh);
-    let solid = SolidInstances::new(&top, bvhs.iter().zip(&meshes).map(lazy).collect());
+    let solid = SolidInstances::build(&top, bvhs.iter().zip(&meshes).map(lazy).collect::<Result<_>>()?)?;
     // What the first rays pay.
     let start = Instant::now();
     let mut scratch = solid.scratch();
@@ -46,17 +46,17 @@ pub fn measure(folder: &Path, options: &Options, output: &mut Output) -> Result<
     let mut boxes =
         || rays.iter().zip(&mut *of_solid).for_each(|(ray, hit)| *hit = solid.any_hit(ray, &mut scratch));
     let times = alternate(3, &mut [&mut plain as &mut dyn Timed, &mut boxes]);
-    let (mut walk, mut counted) = (Counters::default(), SolidCounters::default());
+    let (mut walk, mut counted) = (Counters::default(), Counters::default());
     for ray in &rays {
         top.any_hit_with(ray, &mut walk);
-        solid.any_hit_counted(ray, &mut scratch, &mut counted);
+        solid.any_hit_with(ray, &mut scratch, &mut counted);
     }
     let prepared = solid.prepared();
     let counters = [
         json!({ "nodes": walk.nodes, "triangle_tests": walk.triangle_tests }),
         json!({
-            "nodes": counted.walk.nodes,
-            "triangle_tests": counted.walk.triangle_tests,
+            "nodes": counted.nodes,
+            "triangle_tests": counted.triangle_tests,
             "occluder_hits": counted.solid_hits,
             "objects": prepared.objects,
             "prepared": prepared.prepared,
@@ -87,6 +87,7 @@ pub fn measure(folder: &Path, options: &Options, output: &mut Output) -> Result<
     Ok(())
 }
 
-fn lazy(bvh: Arc<Bvh>, mesh: &TriangleMesh) -> LazySolidBvh<'_> {
-    LazySolidBvh::new(bvh, &mesh.positions, &mesh.triangles, &[], &SolidBvhOptions::default())
+fn lazy(bvh: Arc<Bvh>, mesh: &TriangleMesh) -> Result<LazySolidBvh<'_>> {
+    let parts = ObjectMesh::new(&mesh.positions, &mesh.triangles);
+    Ok(LazySolidBvh::build(bvh, &parts, &SolidBvhOptions::default())?)
 }

@@ -5,10 +5,10 @@ use crate::rows::{Timed, median};
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::{sync::Arc, time::Instant};
-use umbrage_accel::{BuildOptions, Bvh, KdTree, kdtree::Order};
+use umbrage_accel::{BuildOptions, Bvh, Counters, KdTree, Statistics, kdtree::Order};
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Query, Scratch, ShadowRays, SolidBvh,
-    SolidBvhOptions, SolidCounters, Solids, Statistics,
+    Ends, KdQuery, KdVolumetric, KdVolumetricOptions, KdVolumetricScratch, ObjectMesh, ShadowRays, SolidBvh,
+    SolidBvhOptions, Solids, published::Classifier,
 };
 use umbrage_query::{
     Engine, Occluders,
@@ -84,29 +84,30 @@ impl Structures {
         let (positions, triangles) = (&scene.mesh.positions, &scene.mesh.triangles);
         let (bvh, bvh_s) = timed(|| (), |()| Bvh::build(positions, triangles, &BuildOptions::default()));
         let bvh = Arc::new(bvh?);
-        let (objects, options) = (&scene.objects, SolidBvhOptions::default());
-        let (solid, solid_s) =
-            timed(|| bvh.clone(), |bvh| SolidBvh::build(bvh, positions, triangles, objects, &options));
+        let parts = ObjectMesh::new(positions, triangles).with_objects(&scene.objects);
+        let options = SolidBvhOptions::default();
+        let (solid, solid_s) = timed(|| bvh.clone(), |bvh| SolidBvh::build(bvh, &parts, &options));
         let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
         let auto = [1.0, fans].map(|together| {
             let rays = ShadowRays { lights: &lights, count, together };
             timed(
                 || (),
-                |()| SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &rays, &options),
+                |()| SolidBvh::build_if_it_pays(&bvh, &parts, &rays, &options).expect("checked meshes"),
             )
         });
         let options = KdVolumetricOptions::default();
-        let (solids, audit_s) =
-            timed(|| (), |()| Solids::find(positions, triangles, objects, &options.solids));
+        let (solids, audit_s) = timed(|| (), |()| Solids::find(&parts, &options.solids));
+        let solids = solids?;
         let (tree, kd_s) = timed(
             || (),
             |()| KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, &mut |_| true),
         );
-        let parts = (tree?, solids);
-        let classified = |by| timed(|| parts.clone(), |(tree, solids)| KdVolumetric::new(tree, solids, by));
+        let built = (tree?, solids);
+        let classified =
+            |by| timed(|| built.clone(), |(tree, solids)| KdVolumetric::from_parts(tree, solids, by));
         let (_, test_rays_s) = classified(Classifier::TestRays);
         let (kd, classify_s) = classified(Classifier::Flood);
-        Ok(Self { bvh, bvh_s, solid, solid_s, auto, kd, kd_s, audit_s, classify_s, test_rays_s })
+        Ok(Self { bvh, bvh_s, solid: solid?, solid_s, auto, kd: kd?, kd_s, audit_s, classify_s, test_rays_s })
     }
 }
 
@@ -151,7 +152,7 @@ pub enum Use {
     Not,
     Plain,
     Cached,
-    /// By what the light's last rays met ([`Query::with_guide`]).
+    /// By what the light's last rays met ([`KdQuery::with_guide`]).
     Guided,
 }
 
@@ -260,11 +261,11 @@ impl Caster<'_> {
 
     fn run_kd(&self, scene: &Scene, shadows: &Shadows, hits: &mut [bool], stats: &mut impl Statistics) {
         let Kind::Kd(kd, order, how) = self.kind else { return };
-        let mut scratch = Scratch::default();
+        let mut scratch = KdVolumetricScratch::default();
         let ends = ends(scene, |region| kd.is_outside(region));
         for (light, range) in shadows.runs(self.call == Call::Together) {
             let (rays, hits) = (&shadows.rays[range.clone()], &mut hits[range]);
-            let query = Query::default()
+            let query = KdQuery::default()
                 .with_order(order)
                 .with_ends(ends_of(&ends, light))
                 .with_light(light.filter(|_| [Use::Cached, Use::Guided].contains(&how)))
@@ -275,7 +276,7 @@ impl Caster<'_> {
                     .iter()
                     .zip(hits)
                     .for_each(|(ray, hit)| *hit = kd.any_hit_with(ray, &query, &mut scratch, stats)),
-                _ => kd.any_hits_in_packets(rays, hits, &query, &mut scratch, stats),
+                _ => kd.any_hits_with(rays, hits, &query, &mut scratch, stats),
             }
         }
     }
@@ -298,8 +299,8 @@ impl Caster<'_> {
     /// An empty tally.
     pub fn tally(&self) -> WorkCounters {
         match self.kind {
-            Kind::Bvh(_) | Kind::Renderer(_) => WorkCounters::Bvh(umbrage_accel::Counters::default()),
-            Kind::Solid(..) => WorkCounters::Solid(SolidCounters::default()),
+            Kind::Bvh(_) | Kind::Renderer(_) => WorkCounters::Bvh(Counters::default()),
+            Kind::Solid(..) => WorkCounters::Solid(Counters::default()),
             Kind::Kd(..) => WorkCounters::Kd(Counters::default()),
         }
     }
@@ -317,7 +318,7 @@ impl Caster<'_> {
                 for (light, range) in shadows.runs(false) {
                     let light = light.filter(|_| remembered);
                     for ray in &shadows.rays[range] {
-                        solid.any_hit_counted(ray, Ends::Unknown, light, &mut scratch, counters);
+                        solid.any_hit_with(ray, Ends::Unknown, light, &mut scratch, counters);
                     }
                 }
             }
@@ -341,9 +342,9 @@ impl Caster<'_> {
                 let forecast = solid.forecast(&lights);
                 let value = json!({
                     "counted_rays": rays,
-                    "nodes": counters.walk.nodes,
-                    "triangle_tests": counters.walk.triangle_tests,
-                    "box_tests": counters.walk.box_tests,
+                    "nodes": counters.nodes,
+                    "triangle_tests": counters.triangle_tests,
+                    "box_tests": counters.box_tests,
                     "occluders": solid.occluders().len(),
                     "packs": solid.pack_count(),
                     "forecast_triangles": forecast.triangles,
@@ -352,8 +353,8 @@ impl Caster<'_> {
                     "forecast_occurrence": forecast.occurrence,
                     "forecast_pays": forecast.pays(),
                     "occluder_hits": counters.solid_hits,
-                    "cache_hits": counters.first_hits,
-                    "generators": solid.generator_count(),
+                    "cache_hits": counters.remembered_hits,
+                    "generators": solid.solid_count(),
                 });
                 (Counters::default(), value)
             }
@@ -361,8 +362,8 @@ impl Caster<'_> {
                 let lanes = if self.call == Call::Single { 1.0 } else { 4.0 };
                 let value = json!({
                     "counted_rays": rays,
-                    "nodes": c.kd.steps,
-                    "triangle_tests": c.kd.triangle_tests,
+                    "nodes": c.nodes,
+                    "triangle_tests": c.triangle_tests,
                     "box_tests": c.box_tests,
                     "occluders": kd.occluders().len(),
                     "grown": kd.grown().len(),
@@ -373,8 +374,8 @@ impl Caster<'_> {
                     "cache_hits": c.cache_hits,
                     "cache_hit_rate": c.cache_hits as f64 / c.cache_lookups.max(1) as f64,
                     "mean_occluder_area": c.cell_area / c.cell_hits.max(1) as f64,
-                    "packet_use": c.kd.active as f64 / (lanes * c.kd.steps.max(1) as f64),
-                    "packet_use_at_leaves": c.kd.active_leaves as f64 / (lanes * c.kd.leaves.max(1) as f64),
+                    "packet_use": c.rays_at_nodes as f64 / (lanes * c.nodes.max(1) as f64),
+                    "packet_use_at_leaves": c.rays_at_leaves as f64 / (lanes * c.leaves.max(1) as f64),
                 });
                 (*c, value)
             }
@@ -395,7 +396,7 @@ fn run_method(
     method: &dyn Engine,
     shadows: &Shadows,
     hits: &mut [bool],
-    mut counters: Option<&mut umbrage_accel::Counters>,
+    mut counters: Option<&mut Counters>,
 ) {
     let (mut rays, mut passed) = (Vec::new(), Vec::new());
     for fan in &shadows.fans {
@@ -414,8 +415,8 @@ fn run_method(
 
 /// Work of a caster over parts of an image.
 pub enum WorkCounters {
-    Bvh(umbrage_accel::Counters),
-    Solid(SolidCounters),
+    Bvh(Counters),
+    Solid(Counters),
     Kd(Counters),
 }
 

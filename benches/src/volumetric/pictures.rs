@@ -4,9 +4,9 @@ use super::{Case, scene::Shadows};
 use anyhow::{Context, Result};
 use image::{Rgb, RgbImage};
 use std::{fmt::Write as _, path::Path};
-use umbrage_accel::kdtree::Order;
+use umbrage_accel::{Counters, kdtree::Order};
 use umbrage_geom::{Aabb, TriangleMesh};
-use umbrage_occlusion::volumetric::{Counters, Ends, Query, Scratch};
+use umbrage_occlusion::volumetric::{Ends, KdQuery, KdVolumetricScratch};
 
 /// Pixels along a side.
 const SIDE: u32 = 512;
@@ -62,16 +62,16 @@ struct Pixel {
 fn work(case: &Case, shadows: &Shadows, order: Order, occluders: bool) -> Vec<Pixel> {
     let mut pixels = vec![Pixel::default(); (SIDE * SIDE) as usize];
     let mut rays = vec![0.0f64; pixels.len()];
-    let mut scratch = Scratch::default();
+    let mut scratch = KdVolumetricScratch::default();
     for fan in &shadows.fans {
-        let query = Query::default().with_order(order).with_ends(Ends::Unknown).with_occluders(occluders);
+        let query = KdQuery::default().with_order(order).with_ends(Ends::Unknown).with_occluders(occluders);
         let query = query.with_light(Some(fan.light as usize));
         let mut c = Counters::default();
         for ray in &shadows.rays[fan.start as usize..fan.end as usize] {
             case.structures.kd.any_hit_with(ray, &query, &mut scratch, &mut c);
         }
         let pixel = &mut pixels[fan.pixel as usize];
-        pixel.operations += (c.kd.steps + c.kd.triangle_tests) as f64;
+        pixel.operations += (c.nodes + c.triangle_tests) as f64;
         pixel.lit += c.misses as f64;
         pixel.ended += c.cell_hits as f64;
         pixel.seen = true;

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::rows::{Row, median};
 use std::collections::BTreeMap;
-use umbrage_occlusion::volumetric::Counters;
+use umbrage_accel::Counters;
 
 /// What tables say of a scene.
 struct SceneFacts {
@@ -73,8 +73,8 @@ impl Tables {
             name: case.scene.name.clone(),
             lights: case.scene.lights.len(),
             triangles: case.scene.mesh.triangles.len(),
-            generator_triangles: s.kd.solids().generators().iter().map(|g| g.triangles).sum(),
-            generators: s.kd.solids().generators().len(),
+            generator_triangles: s.kd.solids().all().iter().map(|g| g.triangles).sum(),
+            generators: s.kd.solids().all().len(),
             occluders: s.kd.occluders().len(),
             occurrence_rate: s.kd.occurrence_rate(),
             rays: case.shadows.rays.len(),
@@ -117,8 +117,8 @@ impl Tables {
         let rays = |row: &Row| row.params["rays"].as_f64().unwrap_or(1.0);
         self.figure("Figure 3.5: ns a shadow ray", |row, _| row.time_s / rays(row) * 1e9);
         let counted = |c: &Counters| (c.misses + c.triangle_hits + c.cell_hits).max(1) as f64;
-        self.figure("Figure 3.6: traversal steps a ray", |_, c| c.kd.steps as f64 / counted(c));
-        self.figure("Figure 3.7: triangle tests a ray", |_, c| c.kd.triangle_tests as f64 / counted(c));
+        self.figure("Figure 3.6: traversal steps a ray", |_, c| c.nodes as f64 / counted(c));
+        self.figure("Figure 3.7: triangle tests a ray", |_, c| c.triangle_tests as f64 / counted(c));
         self.figure("Figure 3.8: box tests a ray", |_, c| c.box_tests as f64 / counted(c));
         self.figure("Mean area of found occluders, 1e-3 of the unit square", |_, c| {
             c.cell_area / c.cell_hits.max(1) as f64 * 1e3

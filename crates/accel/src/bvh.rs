@@ -6,11 +6,11 @@ use crate::{
     memory,
     node::Tree,
     packet,
-    solid::Solids,
+    solid::SolidBoxes,
     topology::Topology,
     traversal,
 };
-use fan::{FanGoal, SMALLEST};
+use fan::{FEWEST_FAN_RAYS, FanGoal};
 use std::ops::{ControlFlow, Range};
 use umbrage_geom::{
     Aabb, OpticalDepth, Ray, TriangleHit,
@@ -306,19 +306,24 @@ impl Bvh {
     }
 
     /// [`Self::any_hit`] of a ray that may end at boxes inside of solids: what `solids` says of them is believed.
-    pub fn any_hit_among(&self, ray: &Ray, solids: &mut impl Solids, stats: &mut impl Statistics) -> bool {
+    pub fn any_hit_among_with(
+        &self,
+        ray: &Ray,
+        solids: &mut impl SolidBoxes,
+        stats: &mut impl Statistics,
+    ) -> bool {
         kernel::run(self.back_end, AnyHitAmong { bvh: self, ray, solids, stats })
     }
 
-    /// [`Self::any_hit_among`] of each ray, on this thread alone; those of one origin that follow each other walk together.
+    /// [`Self::any_hit_among_with`] of each ray, on this thread alone; those of one origin that follow each other walk together.
     ///
     /// # Panics
     /// If the slices differ in length.
-    pub fn any_hits_among(
+    pub fn any_hits_among_with(
         &self,
         rays: &[Ray],
         hits: &mut [bool],
-        solids: &mut impl Solids,
+        solids: &mut impl SolidBoxes,
         stats: &mut impl Statistics,
     ) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
@@ -366,7 +371,7 @@ impl Bvh {
 
     /// Walks `rays` for a goal of the caller's: those of one origin that follow each other together, [`FAN`](crate::FAN) at
     /// most, others alone, [`WALKS`](crate::WALKS) fans in turn; on this thread.
-    pub fn walk_fans(&self, rays: &[Ray], goal: &mut impl FanGoal, stats: &mut impl Statistics) {
+    pub fn walk_fans_with(&self, rays: &[Ray], goal: &mut impl FanGoal, stats: &mut impl Statistics) {
         kernel::run(self.back_end, WalkFans { bvh: self, rays, goal, stats });
     }
 
@@ -439,7 +444,15 @@ impl<S: Statistics> Job for AnyHits<'_, S> {
         let packet = |goal: &mut fan::AnyHit<'_, ()>, range: Range<usize>, stats: &mut S| {
             packet::any_hits(kernel, bvh, &rays[range.clone()], &mut goal.hits[range], &mut packets, stats);
         };
-        fan::answer(kernel, bvh, rays, SMALLEST, &mut fan::AnyHit { rays, hits, solids: () }, packet, stats);
+        fan::answer(
+            kernel,
+            bvh,
+            rays,
+            FEWEST_FAN_RAYS,
+            &mut fan::AnyHit { rays, hits, solids: () },
+            packet,
+            stats,
+        );
     }
 }
 
@@ -450,7 +463,7 @@ struct AnyHitAmong<'a, B, S> {
     stats: &'a mut S,
 }
 
-impl<B: Solids, S: Statistics> Job for AnyHitAmong<'_, B, S> {
+impl<B: SolidBoxes, S: Statistics> Job for AnyHitAmong<'_, B, S> {
     type Output = bool;
 
     #[inline(always)]
@@ -467,7 +480,7 @@ struct AnyHitsAmong<'a, B, S> {
     stats: &'a mut S,
 }
 
-impl<B: Solids, S: Statistics> Job for AnyHitsAmong<'_, B, S> {
+impl<B: SolidBoxes, S: Statistics> Job for AnyHitsAmong<'_, B, S> {
     type Output = ();
 
     #[inline(always)]
@@ -480,7 +493,15 @@ impl<B: Solids, S: Statistics> Job for AnyHitsAmong<'_, B, S> {
                 goal.hits[place] = traversal::any_hit_among(kernel, bvh, ray, place, &mut goal.solids, stats);
             }
         };
-        fan::answer(kernel, bvh, rays, SMALLEST, &mut fan::AnyHit { rays, hits, solids }, alone, stats);
+        fan::answer(
+            kernel,
+            bvh,
+            rays,
+            FEWEST_FAN_RAYS,
+            &mut fan::AnyHit { rays, hits, solids },
+            alone,
+            stats,
+        );
     }
 }
 
@@ -569,7 +590,7 @@ impl<F: Fn(u32) -> OpticalDepth, S: Statistics> Job for Transmittances<'_, F, S>
             }
         };
         let mut goal = fan::Transmittance { bvh, rays, sums, depth_of };
-        fan::answer(kernel, bvh, rays, SMALLEST, &mut goal, alone, stats);
+        fan::answer(kernel, bvh, rays, FEWEST_FAN_RAYS, &mut goal, alone, stats);
     }
 }
 

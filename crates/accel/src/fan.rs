@@ -13,8 +13,8 @@ use self::{
 use crate::{
     Bvh, Statistics,
     kernel::{Ahead, Columns, FAN, Fan, Kernel, Prepared, Rows, Stack},
-    node::{LEAF, Node, Note, Tree, WIDTH},
-    solid::{SolidPack, Solids},
+    node::{LEAF, Node, NodeNote, Tree, WIDTH},
+    solid::{SolidBoxes, SolidPack},
     traversal,
 };
 use std::ops::Range;
@@ -29,10 +29,10 @@ use umbrage_geom::{
 };
 
 /// Fewest rays that are worth a fan.
-pub(crate) const SMALLEST: usize = 4;
+pub(crate) const FEWEST_FAN_RAYS: usize = 4;
 
 /// Fewest rays for which a node is first tested against the envelope.
-const WIDE: u32 = 4;
+const FEWEST_RAYS_FOR_ENVELOPE: u32 = 4;
 
 /// A ray of a fan.
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +53,7 @@ pub trait FanGoal {
 
     /// Rays of the batch start together: the one in column `i` of `rays` is `first + i`. Bit `i` of `fit` is set for those that
     /// the walk answers. `limits` are 0 and say where rays end, if they may: at a child whose squared radius, times its mark
-    /// in 255ths ([`Note`]), over squared distance is less. A mark of 0 ends none.
+    /// in 255ths ([`NodeNote`]), over squared distance is less. A mark of 0 ends none.
     #[inline(always)]
     fn start(&mut self, walk: usize, first: usize, fit: u32, limits: &mut [f32; FAN]) {
         let _ = (walk, first, fit, limits);
@@ -62,22 +62,22 @@ pub trait FanGoal {
     /// Ends a ray at some children of a node, a bit each in `slots`, instead of entering them. `covered` is the part of its way
     /// through each that the segment covers, 0 for others. Whether the ray needs no more.
     #[inline(always)]
-    fn end(&mut self, ray: FanRay, note: &Note, slots: u32, covered: &[f32; WIDTH]) -> bool {
+    fn end(&mut self, ray: FanRay, note: &NodeNote, slots: u32, covered: &[f32; WIDTH]) -> bool {
         let _ = (ray, note, slots, covered);
         false
     }
 
-    /// Whether boxes inside of solids may end rays, see [`Solids`].
+    /// Whether boxes inside of solids may end rays, see [`SolidBoxes`].
     const SOLIDS: bool = false;
 
-    /// See [`Solids::pack`].
+    /// See [`SolidBoxes::pack`].
     #[inline(always)]
     fn pack(&self, index: u32) -> Option<&SolidPack> {
         let _ = index;
         None
     }
 
-    /// See [`Solids::blocks`].
+    /// See [`SolidBoxes::blocks`].
     #[inline(always)]
     fn solid(&mut self, ray: FanRay, index: u32, lanes: u32) -> bool {
         let _ = (ray, index, lanes);
@@ -177,7 +177,7 @@ impl Walk {
     /// Children that the rays in `mask` may enter, as far as one test for all tells.
     #[inline(always)]
     fn wanted<K: Kernel>(&self, kernel: K, node: &Node, rows: &Rows, mask: u32) -> u32 {
-        if self.narrow && mask.count_ones() >= WIDE {
+        if self.narrow && mask.count_ones() >= FEWEST_RAYS_FOR_ENVELOPE {
             node.used & self.envelope.mask(kernel, rows)
         } else {
             node.used
@@ -320,7 +320,7 @@ impl Walk {
                 &mut covered,
             );
             if slots != 0 {
-                stats.ends(index, slots);
+                stats.ended_at_node(index, slots);
                 let ray = FanRay { index: self.first + r, walk, column: r };
                 self.alive &= !(u32::from(goal.end(ray, &node.note, slots, &covered)) << r);
             }
@@ -396,7 +396,7 @@ pub const WALKS: usize = 8;
 
 /// Bytes of nodes and leaves up to which fans walk one after the other: they fit into the second-level cache, and what
 /// other fans keep would only push things out of the first.
-const NEAR: usize = 1 << 19;
+const CACHED_BYTES: usize = 1 << 19;
 
 /// Answers rays by fans where at least `smallest` share an origin; the others are left to `packet`, [`PACKET`] at most at a
 /// time.
@@ -414,7 +414,7 @@ pub(crate) fn answer<K: Kernel, S: Statistics, G: FanGoal>(
     let mut walks: Vec<Walk> = Vec::with_capacity(WALKS);
     let mut turns: [usize; WALKS] = std::array::from_fn(|i| i);
 
-    let near = size_of_val(&*bvh.tree.nodes) + size_of_val(&*bvh.blocks) <= NEAR;
+    let near = size_of_val(&*bvh.tree.nodes) + size_of_val(&*bvh.blocks) <= CACHED_BYTES;
     let (most, turn_over) = if near { (1, 0) } else { (WALKS, 1) };
 
     let mut busy = 0;
@@ -472,7 +472,7 @@ pub(crate) struct AnyHit<'a, B> {
     pub(crate) solids: B,
 }
 
-impl<B: Solids> FanGoal for AnyHit<'_, B> {
+impl<B: SolidBoxes> FanGoal for AnyHit<'_, B> {
     const SOLIDS: bool = B::ANY;
 
     #[inline(always)]

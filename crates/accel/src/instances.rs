@@ -9,7 +9,7 @@ use crate::{
     bvh::MAX_PRIMS,
     kernel::{self, Job, Kernel, NodeRay},
     node::{LEAF, Tree},
-    solid::Solids,
+    solid::SolidBoxes,
     topology::Topology,
     traversal,
 };
@@ -51,7 +51,7 @@ impl InstanceHit {
 const MAX_CONDITION: f64 = (1u32 << 24) as f64;
 
 /// Rounding that boxes and origins are padded for, `2^-22`: see [`InstancedBvh`].
-const PAD: f64 = 1.0 / (1u32 << 22) as f64;
+const PAD_ROUNDING: f64 = 1.0 / (1u32 << 22) as f64;
 
 /// Largest sum of magnitudes in a row.
 fn row_sum(m: &DMat3) -> f64 {
@@ -181,7 +181,7 @@ fn bound(index: usize, placement: &Placement, bvhs: &[Arc<Bvh>]) -> Result<Bound
     let (norm, inverse_norm) = (row_sum(&matrix), row_sum(&object_from_world.matrix3));
     let p = f64::from(object.min.abs().max(object.max.abs()).max_element());
     let n = object_from_world.translation.abs().max_element();
-    let pad = PAD * (norm * (n + p) + w.abs().max_element());
+    let pad = PAD_ROUNDING * (norm * (n + p) + w.abs().max_element());
     let reach = min.abs().max(max.abs()).max_element() + pad;
     if reach.is_nan() || reach > f64::from(MAX_COORDINATE) {
         return Err(BuildError::TransformTooFar { instance: index });
@@ -191,7 +191,7 @@ fn bound(index: usize, placement: &Placement, bvhs: &[Arc<Bvh>]) -> Result<Bound
         |v: DVec3, step: fn(f32) -> f32| Vec3::new(step(v.x as f32), step(v.y as f32), step(v.z as f32));
     let aabb = Aabb { min: outwards(min - pad, f32::next_down), max: outwards(max + pad, f32::next_up) };
     let instance = Instance { bvh: placement.bvh, object_from_world };
-    Ok(Bounded { instance, aabb, origin_pad: PAD * norm * inverse_norm, norm })
+    Ok(Bounded { instance, aabb, origin_pad: PAD_ROUNDING * norm * inverse_norm, norm })
 }
 
 impl InstancedBvh {
@@ -281,7 +281,12 @@ impl InstancedBvh {
     }
 
     /// [`Self::any_hit`] of a ray that may end inside of instances.
-    pub fn any_hit_among(&self, ray: &Ray, insides: &mut impl Insides, stats: &mut impl Statistics) -> bool {
+    pub fn any_hit_among_with(
+        &self,
+        ray: &Ray,
+        insides: &mut impl InstanceBoxes,
+        stats: &mut impl Statistics,
+    ) -> bool {
         kernel::run(self.back_end, AnyHitAmong { this: self, ray, insides, stats })
     }
 
@@ -461,16 +466,16 @@ impl InstancedBvh {
     }
 }
 
-/// Solid boxes of the hierarchies below, each in its own space ([`InstancedBvh::any_hit_among`]).
-pub trait Insides {
+/// Solid boxes of the hierarchies below, each in its own space ([`InstancedBvh::any_hit_among_with`]).
+pub trait InstanceBoxes {
     /// Those of one hierarchy.
-    type Solids<'s>: Solids
+    type SolidBoxes<'s>: SolidBoxes
     where
         Self: 's;
 
     /// A copy of hierarchy `bvh` with notes, and the boxes that these name; `None` if it has no boxes. `ray` is what the
     /// instance sees ([`object_ray`]), and may not touch anything.
-    fn inside(&mut self, bvh: u32, ray: &Ray) -> Option<(&Bvh, Self::Solids<'_>)>;
+    fn inside(&mut self, bvh: u32, ray: &Ray) -> Option<(&Bvh, Self::SolidBoxes<'_>)>;
 }
 
 /// What happens in an instance: a closure that can be inlined into a kernel's target features.

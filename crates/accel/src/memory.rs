@@ -2,7 +2,7 @@
 //! wait for the translation of their address.
 
 /// Size of a huge page.
-const HUGE: usize = 1 << 21;
+const HUGE_PAGE_BYTES: usize = 1 << 21;
 
 /// An empty vector with room for `len` elements.
 pub(crate) fn with_capacity<T>(len: usize) -> Vec<T> {
@@ -22,8 +22,10 @@ pub(crate) fn settle<T: Copy>(from: Vec<T>) -> Vec<T> {
 #[cfg(target_os = "linux")]
 fn advise<T>(vec: &Vec<T>) {
     let start = vec.as_ptr() as usize;
-    let (first, end) =
-        (start.next_multiple_of(HUGE), (start + vec.capacity() * size_of::<T>()) / HUGE * HUGE);
+    let (first, end) = (
+        start.next_multiple_of(HUGE_PAGE_BYTES),
+        (start + vec.capacity() * size_of::<T>()) / HUGE_PAGE_BYTES * HUGE_PAGE_BYTES,
+    );
     if end > first {
         // SAFETY: all pages from `first` to `end` belong to the vector's allocation, and the advice changes no contents.
         unsafe { libc::madvise(first as *mut libc::c_void, end - first, libc::MADV_HUGEPAGE) };

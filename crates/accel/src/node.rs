@@ -16,7 +16,7 @@ pub(crate) const LEAF: u32 = 1 << 31;
 
 /// What a node keeps for the owner of the hierarchy: it lies in the node's cache lines. All 0 after a build.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Note {
+pub struct NodeNote {
     /// For the whole node.
     pub index: u32,
     /// For each slot.
@@ -42,7 +42,7 @@ pub(crate) struct Node {
     pub(crate) used: u32,
     /// Probability that a child stops a ray that enters it, over the expected cost: see [`Self::merit`].
     pub(crate) merits: [u8; WIDTH],
-    pub(crate) note: Note,
+    pub(crate) note: NodeNote,
 }
 
 /// `x >= 0` with its significand rounded up to 16 bits; at least the smallest normal number, unless 0.
@@ -62,7 +62,7 @@ impl Node {
         step: [0.0; 3],
         used: 0,
         merits: [0; WIDTH],
-        note: Note { index: 0, marks: [0; WIDTH] },
+        note: NodeNote { index: 0, marks: [0; WIDTH] },
     };
 
     /// What [`Self::set_merit`] was given, from `2^-31` to almost 2, with three bits after the first; their bits are those of

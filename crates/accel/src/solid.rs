@@ -48,10 +48,10 @@ impl SolidPack {
     }
 }
 
-/// The owner of boxes that end rays ([`crate::Bvh::any_hit_among`]).
+/// The owner of boxes that end rays ([`crate::Bvh::any_hit_among_with`]).
 ///
-/// A node whose [`crate::Note::index`] is not 0 has the pack of that index, which rays meet before the node's children.
-pub trait Solids {
+/// A node whose [`crate::NodeNote::index`] is not 0 has the pack of that index, which rays meet before the node's children.
+pub trait SolidBoxes {
     /// Whether there are any at all.
     const ANY: bool = true;
 
@@ -64,7 +64,7 @@ pub trait Solids {
 }
 
 /// No boxes.
-impl Solids for () {
+impl SolidBoxes for () {
     const ANY: bool = false;
 
     #[inline(always)]
@@ -78,7 +78,7 @@ impl Solids for () {
     }
 }
 
-impl<S: Solids> Solids for &mut S {
+impl<S: SolidBoxes> SolidBoxes for &mut S {
     const ANY: bool = S::ANY;
 
     #[inline(always)]

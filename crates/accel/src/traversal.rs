@@ -8,7 +8,7 @@ use crate::{
     Bvh, Hit, Statistics,
     kernel::{Kernel, NodeRay, Prepared},
     node::{LEAF, MAX_LEVELS, Node, Tree, WIDTH},
-    solid::Solids,
+    solid::SolidBoxes,
 };
 use std::ops::ControlFlow;
 use umbrage_geom::{
@@ -164,7 +164,7 @@ pub(crate) fn any_hit<K: Kernel, S: Statistics>(kernel: K, bvh: &Bvh, ray: &Ray,
 
 /// Whether boxes of a node, of which `entered` are the children that the ray enters, block it.
 #[inline(always)]
-fn ends_inside<K: Kernel, B: Solids>(
+fn ends_inside<K: Kernel, B: SolidBoxes>(
     kernel: K,
     node: &Node,
     entered: u32,
@@ -183,7 +183,7 @@ fn ends_inside<K: Kernel, B: Solids>(
 
 /// [`any_hit`] of the ray in place `place` of a batch, which may end at `solids`.
 #[inline(always)]
-pub(crate) fn any_hit_among<K: Kernel, B: Solids, S: Statistics>(
+pub(crate) fn any_hit_among<K: Kernel, B: SolidBoxes, S: Statistics>(
     kernel: K,
     bvh: &Bvh,
     ray: &Ray,

@@ -2,7 +2,7 @@
 
 use crate::{
     Bvh,
-    node::{LEAF, Node, Note, WIDTH},
+    node::{LEAF, Node, NodeNote, WIDTH},
 };
 use umbrage_geom::{Aabb, kernel::TriangleBlock};
 
@@ -53,7 +53,7 @@ impl Bvh {
     ///
     /// # Panics
     /// If there is no such node.
-    pub fn set_note(&mut self, node: u32, note: Note) {
+    pub fn set_note(&mut self, node: u32, note: NodeNote) {
         self.tree.nodes[node as usize].note = note;
     }
 }
@@ -159,7 +159,7 @@ impl<'a> NodeView<'a> {
 
     /// What the hierarchy's owner keeps in the node.
     #[inline(always)]
-    pub fn note(self) -> &'a Note {
+    pub fn note(self) -> &'a NodeNote {
         &self.0.note
     }
 

@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 use umbrage_accel::{
-    BackEnd, BuildError, KdTree, brute,
-    kdtree::{KdCounters, KdOptions, KdScratch, LeafState, Location, Order, Search},
+    BackEnd, BuildError, Counters, KdTree, brute,
+    kdtree::{KdOptions, KdScratch, LeafState, Location, Order, Search},
 };
 use umbrage_geom::{Ray, crosses_triangle, glam::Vec3, segment_hits_triangle};
 
@@ -84,10 +84,10 @@ proptest! {
                 let found: Vec<bool> = if packet {
                     rays.chunks(4).flat_map(|r| {
                         let r = [&r[0], &r[1], &r[2], &r[3]];
-                        tree.blockers(r, order, &mut (), &mut four, &mut ()).map(|b| b.any())
+                        tree.blockers_with(r, order, &mut (), &mut four, &mut ()).map(|b| b.any())
                     }).collect()
                 } else {
-                    rays.iter().map(|r| tree.blocker(r, order, &mut (), &mut one, &mut ()).any()).collect()
+                    rays.iter().map(|r| tree.blocker_with(r, order, &mut (), &mut one, &mut ()).any()).collect()
                 };
                 prop_assert_eq!(&found, &truth, "{:?} {:?}", order, back_end);
             }
@@ -193,15 +193,15 @@ fn work_is_logarithmic_and_counted() {
     let (positions, triangles) = waves(100);
     let tree = KdTree::build(&positions, &triangles, &KdOptions::default()).unwrap();
     assert!(tree.node_count() < 2 * triangles.len());
-    let mut counters = KdCounters::default();
+    let mut counters = Counters::default();
     let mut scratch = KdScratch::default();
     for i in 0..100 {
         let x = (i as f32 + 0.5) / 100.0;
         let ray = Ray::new([x, 1.0, 0.4], [0.0, -1.0, 0.0]);
-        assert!(tree.blocker(&ray, Order::RAY, &mut (), &mut scratch, &mut counters).any());
+        assert!(tree.blocker_with(&ray, Order::RAY, &mut (), &mut scratch, &mut counters).any());
     }
-    assert!(counters.steps < 100 * 40 && counters.triangle_tests < 100 * 32, "{counters:?}");
-    assert_eq!((counters.active, counters.lanes), (counters.steps, counters.steps));
+    assert!(counters.nodes < 100 * 40 && counters.triangle_tests < 100 * 32, "{counters:?}");
+    assert_eq!((counters.rays_at_nodes, counters.lanes), (counters.nodes, counters.nodes));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 use umbrage_accel::{BuildOptions, Bvh};
-use umbrage_aomask::{BackEnd, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, exact};
+use umbrage_aomask::{MaskCall, MaskOptions, Outputs, Pattern, PatternOptions, Receiver};
 use umbrage_geom::{
     Ray, TriangleMesh,
     glam::{Vec2, Vec3},
@@ -75,7 +75,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         single.push(start.elapsed().as_secs_f64());
         let start = Instant::now();
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
-        exact::answer(&bvh, &pattern, &points, &normals, &options, BackEnd::best(), outputs, &mut |_| true)?;
+        let receivers = Receiver::from_slices(&points, &normals, options.seed)?;
+        MaskCall::new(&bvh, &pattern, &receivers, &options).answer(outputs, &mut |_| true)?;
         times.push(start.elapsed().as_secs_f64());
     }
     let masks = masks.chunks(pattern.words());

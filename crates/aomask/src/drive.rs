@@ -4,7 +4,7 @@
 
 use crate::{
     MaskError, MaskOptions, Outputs, Pattern, Receiver,
-    gather::{Answers, Gathered, Wanted},
+    gather::{Answers, Gathered, OutputRequest},
 };
 use umbrage_geom::{Progress, morton};
 
@@ -36,7 +36,7 @@ pub(crate) fn run<E: Engine>(
 ) -> Result<(), MaskError> {
     options.validate(pattern)?;
     outputs.validate(receivers.len(), pattern.words())?;
-    let wanted = Wanted::new(&outputs);
+    let wanted = OutputRequest::new(&outputs);
     let points: Vec<[f32; 3]> = receivers.iter().map(|receiver| receiver.point().to_array()).collect();
     let order = morton::order(&points);
     let progress = Progress::new(order.len().div_ceil(BLOCK) as u64, progress);
@@ -66,24 +66,4 @@ pub(crate) fn run<E: Engine>(
         gathered.write(&mut outputs, order.iter().map(|&i| i as usize));
     }
     Ok(())
-}
-
-/// Checked receivers, each with the seed of its point and normal.
-///
-/// # Errors
-/// [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`].
-pub(crate) fn receivers(
-    points: &[[f32; 3]],
-    normals: &[[f32; 3]],
-    seed: u32,
-) -> Result<Vec<Receiver>, MaskError> {
-    if points.len() != normals.len() {
-        let (actual, expected) = (normals.len(), points.len());
-        return Err(MaskError::Length { what: "normals", actual, expected, points: expected });
-    }
-    let pairs = points.iter().zip(normals).enumerate();
-    let receiver = |(i, (&point, &normal)): (usize, (&[f32; 3], &[f32; 3]))| {
-        Receiver::new(i, point, normal, Receiver::seed_of(point, normal, seed))
-    };
-    pairs.map(receiver).collect()
 }

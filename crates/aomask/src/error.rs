@@ -139,6 +139,16 @@ pub enum MaskError {
         /// Its value.
         value: f32,
     },
+    /// An option is out of its range.
+    #[error("{name} is {value}, expected {expected}")]
+    Option {
+        /// Name of the option.
+        name: &'static str,
+        /// Its value.
+        value: f32,
+        /// What it may be.
+        expected: &'static str,
+    },
     /// The geometry could not be put into a hierarchy, or can't be used.
     #[error(transparent)]
     Build(#[from] BuildError),

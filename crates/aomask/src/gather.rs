@@ -22,7 +22,7 @@ impl Answers {
 }
 
 /// The outputs that a caller wants.
-pub(crate) struct Wanted {
+pub(crate) struct OutputRequest {
     masks: bool,
     bent_normals: bool,
     free_directions: bool,
@@ -57,7 +57,7 @@ fn sector_ends(count: u32) -> Vec<f32> {
     (1..count).map(end).chain([f32::INFINITY]).collect()
 }
 
-impl Wanted {
+impl OutputRequest {
     pub(crate) fn new(outputs: &Outputs<'_>) -> Self {
         Self {
             masks: outputs.masks.is_some(),
@@ -86,8 +86,8 @@ impl Wanted {
         };
         for (i, receiver) in receivers.enumerate() {
             let passed = match &answers.passed[..] {
-                [] => Passed::Bits(&answers.masks[i * words..][..words]),
-                passed => Passed::Fractions(&passed[i * rays..][..rays]),
+                [] => RayOpenness::Bits(&answers.masks[i * words..][..words]),
+                passed => RayOpenness::Fractions(&passed[i * rays..][..rays]),
             };
             gathered.ao.push(passed.openness(pattern));
             if self.free_directions {
@@ -114,7 +114,7 @@ impl Wanted {
         &self,
         pattern: &Pattern,
         receiver: Option<&Receiver>,
-        passed: Passed<'_>,
+        passed: RayOpenness<'_>,
         out: &mut Vec<f32>,
     ) {
         let Some(receiver) = receiver else {
@@ -166,14 +166,14 @@ impl Gathered {
 
 /// What passes along the rays of one receiver.
 #[derive(Clone, Copy)]
-enum Passed<'a> {
+enum RayOpenness<'a> {
     /// Bits of blocked rays.
     Bits(&'a [u64]),
     /// A fraction for each ray.
     Fractions(&'a [f32]),
 }
 
-impl Passed<'_> {
+impl RayOpenness<'_> {
     #[inline]
     fn of(self, ray: usize) -> f32 {
         match self {
@@ -232,7 +232,7 @@ impl Pattern {
             let (actual, expected) = (mask.len(), self.words());
             return Err(MaskError::Length { what: "mask", actual, expected, points: 1 });
         }
-        Ok(Passed::Bits(mask).free_direction(self, receiver).to_array())
+        Ok(RayOpenness::Bits(mask).free_direction(self, receiver).to_array())
     }
 }
 

@@ -42,6 +42,22 @@ impl Receiver {
         })
     }
 
+    /// Receivers at `points` (world units, see [`Self::new`]) that look along `normals`, each with the seed
+    /// [`Self::seed_of`] its point and normal with `seed`.
+    ///
+    /// # Errors
+    /// [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`].
+    pub fn from_slices(points: &[[f32; 3]], normals: &[[f32; 3]], seed: u32) -> Result<Vec<Self>, MaskError> {
+        if points.len() != normals.len() {
+            let (actual, expected) = (normals.len(), points.len());
+            return Err(MaskError::Length { what: "normals", actual, expected, points: expected });
+        }
+        let receiver = |(i, (&point, &normal)): (usize, (&[f32; 3], &[f32; 3]))| {
+            Self::new(i, point, normal, Self::seed_of(point, normal, seed))
+        };
+        points.iter().zip(normals).enumerate().map(receiver).collect()
+    }
+
     /// Where rays start, world units.
     #[inline]
     pub fn point(&self) -> Vec3 {

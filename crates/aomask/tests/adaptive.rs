@@ -4,11 +4,8 @@ mod common;
 
 use common::{Points, Scene, receivers, scene, soup};
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
-    exact::{
-        self,
-        adaptive::{Adaptive, Spent},
-    },
+    MaskCall, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
+    exact::adaptive::{Adaptive, Spent},
 };
 use umbrage_geom::{Falloff, OpticalDepth};
 use umbrage_reference::Question;
@@ -35,11 +32,11 @@ fn answer(
                    receivers: &[Receiver],
                    outputs: Outputs<'_>,
                    progress: &mut (dyn FnMut(f32) -> bool + Send)| {
-        let (bvh, best) = (&scene.bvh, BackEnd::best());
+        let bvh = &scene.bvh;
         match depth {
-            None => exact::answer_receivers(bvh, pattern, receivers, &options, best, outputs, progress),
+            None => MaskCall::new(bvh, pattern, receivers, &options).answer(outputs, progress),
             Some(depth) => {
-                exact::transmit(bvh, |_| depth, pattern, receivers, &options, best, outputs, progress)
+                MaskCall::new(bvh, pattern, receivers, &options).transmit(|_| depth, outputs, progress)
             }
         }
     };
@@ -105,8 +102,7 @@ fn settings_are_checked_and_sizes_may_be_odd() {
                            outputs: Outputs<'_>,
                            progress: &mut (dyn FnMut(f32) -> bool + Send)| {
                 let options = MaskOptions::default();
-                let best = BackEnd::best();
-                exact::answer_receivers(&scene.bvh, pattern, receivers, &options, best, outputs, progress)
+                MaskCall::new(&scene.bvh, pattern, receivers, &options).answer(outputs, progress)
             };
             let mut fractions = Vec::new();
             let spent = adaptive.answer(&receivers, target, &mut ask, outputs, &mut |fraction| {

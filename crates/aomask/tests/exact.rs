@@ -6,8 +6,8 @@ use common::{Scene, exact, from_mesh, pattern, receivers, scene, soup};
 use proptest::prelude::*;
 use umbrage_accel::brute;
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, Sides,
-    exact::{self as masks, fans},
+    BackEnd, MaskCall, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver, Sides,
+    exact::fans::FanCall,
 };
 use umbrage_geom::{Falloff, OpticalDepth, Ray, TriangleMesh, glam::Vec3, sampling::RandomStream};
 
@@ -20,7 +20,7 @@ fn answer(
 ) -> Vec<u64> {
     let (mut ao, mut out) = (vec![0.0; points.len()], vec![!0; points.len() * pattern.words()]);
     let outputs = Outputs::new(&mut ao).with_masks(&mut out);
-    masks::answer(&scene.bvh, pattern, points, normals, options, back_end, outputs, &mut |_| true)
+    common::mask(&scene.bvh, pattern, (points, normals), options, back_end, outputs)
         .expect("valid arguments");
     for (ao, mask) in ao.iter().zip(out.chunks(pattern.words())) {
         let blocked: u32 = mask.iter().map(|w| w.count_ones()).sum();
@@ -53,8 +53,7 @@ fn a_low_wall_hides_what_analysis_says_for_every_number_of_rays() {
         let (pattern, mut ao) = (pattern(rays, Falloff::Constant), vec![0.0; count]);
         let (options, best) = (MaskOptions::default(), BackEnd::best());
         let outputs = Outputs::new(&mut ao);
-        masks::answer(&scene.bvh, &pattern, &points.0, &points.1, &options, best, outputs, &mut |_| true)
-            .unwrap();
+        common::mask(&scene.bvh, &pattern, (&points.0, &points.1), &options, best, outputs).unwrap();
         let mean = ao.iter().map(|&x| f64::from(x)).sum::<f64>() / count as f64;
         // At most the error of independent rays.
         let error = (hidden * (1.0 - hidden) / f64::from(rays) / count as f64).sqrt();
@@ -101,7 +100,10 @@ fn rays_above_a_face_have_the_bits_of_single_rays() {
                 let outputs =
                     Outputs::new(&mut ao).with_masks(&mut out).with_free_directions(&mut directions);
                 let (bvh, silent) = (&scene.bvh, &mut |_| true);
-                masks::answer_receivers(bvh, &pattern, &asked, &options, back_end, outputs, silent).unwrap();
+                MaskCall::new(bvh, &pattern, &asked, &options)
+                    .with_back_end(back_end)
+                    .answer(outputs, silent)
+                    .unwrap();
                 assert!(out == expected, "{rays} {back_end:?}");
                 for (ours, expected) in directions.into_iter().zip(&free) {
                     assert!(Vec3::from(ours).distance(*expected) < 1e-4);
@@ -182,10 +184,10 @@ proptest! {
             rays.iter().map(|ray| brute::transmittance(positions, triangles, ray, depth)).collect();
         for back_end in supported() {
             let mut hits = vec![true; rays.len()];
-            fans::any_hits(&scene.bvh, &rays, per_fan, Sides::Both, back_end, &mut hits).unwrap();
+            FanCall::new(&scene.bvh, &rays, per_fan).with_back_end(back_end).any_hits(&mut hits).unwrap();
             prop_assert_eq!(&hits, &expected, "{:?}", back_end);
             let mut sums = vec![OpticalDepth::OPAQUE; rays.len()];
-            fans::transmittances(&scene.bvh, &rays, per_fan, Sides::Both, depth, back_end, &mut sums).unwrap();
+            FanCall::new(&scene.bvh, &rays, per_fan).with_back_end(back_end).transmittances(depth, &mut sums).unwrap();
             prop_assert_eq!(&sums, &dimmed, "{:?}", back_end);
         }
     }
@@ -214,9 +216,8 @@ fn bad_fans_are_refused() {
     let scene = soup(&[[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]);
     let mut rays = vec![Ray::new([0.2, 0.2, 1.0], [0.0, 0.0, -1.0]); 6];
     let hits = &mut [false; 6];
-    let call = |rays: &[Ray], per_fan, hits: &mut [bool]| {
-        fans::any_hits(&scene.bvh, rays, per_fan, Sides::Both, BackEnd::best(), hits)
-    };
+    let call =
+        |rays: &[Ray], per_fan, hits: &mut [bool]| FanCall::new(&scene.bvh, rays, per_fan).any_hits(hits);
     for per_fan in [0, 4, 1025] {
         assert_eq!(call(&rays, per_fan, hits), Err(MaskError::Fan { per_fan, rays: 6 }));
     }

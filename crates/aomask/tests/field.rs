@@ -4,12 +4,11 @@ mod common;
 
 use common::{Scene, pattern, receivers, scene, soup};
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, Receiver,
+    BackEnd, MaskCall, MaskError, MaskOptions, Outputs, Receiver,
     coarse::{
-        self, Cones, FarField,
+        Cones, FarField,
         field::{FieldCones, FieldOptions, MarchOptions, OpacityField},
     },
-    exact,
 };
 use umbrage_geom::{
     Aabb, Falloff, OpticalDepth,
@@ -32,7 +31,8 @@ fn cones(origin: Vec3, directions: &[Vec3], length: f32) -> Cones {
 }
 
 fn passed(field: &OpacityField, near: f32, cones: &Cones, back_end: BackEnd) -> Vec<f32> {
-    let far = FieldCones::new(field, 128, near, 1e3, &MarchOptions::default(), back_end).unwrap();
+    let far =
+        FieldCones::new(field, 128, near, 1e3, &MarchOptions::default().with_back_end(back_end)).unwrap();
     let mut passed = vec![f32::NAN; cones.lengths.len()];
     far.transmittances(cones, &mut passed);
     passed
@@ -191,14 +191,16 @@ fn occlusion_of_foliage_is_close_to_exact_masks() {
         .enumerate()
         .map(|(i, (&p, &n))| Receiver::new(i, p, n, Receiver::seed_of(p, n, 0)).unwrap())
         .collect();
-    let (mut truth, mut ao, best) = ([0.0; 64], [0.0; 64], BackEnd::best());
+    let (mut truth, mut ao) = ([0.0; 64], [0.0; 64]);
     let outputs = Outputs::new(&mut truth);
-    exact::answer_receivers(&scene.bvh, &pattern, &asked, &options, best, outputs, &mut |_| true).unwrap();
+    MaskCall::new(&scene.bvh, &pattern, &asked, &options).answer(outputs, &mut |_| true).unwrap();
     let field = field(&scene, 96);
     let near = 0.2 * options.radius;
-    let far = FieldCones::new(&field, 256, near, options.radius, &MarchOptions::default(), best).unwrap();
+    let far = FieldCones::new(&field, 256, near, options.radius, &MarchOptions::default()).unwrap();
     let outputs = Outputs::new(&mut ao);
-    coarse::answer_receivers(&scene.bvh, &far, &pattern, &asked, &options, best, outputs, &mut |_| true)
+    MaskCall::new(&scene.bvh, &pattern, &asked, &options)
+        .with_far(&far)
+        .answer(outputs, &mut |_| true)
         .unwrap();
     let errors = || ao.iter().zip(truth).map(|(&a, b)| f64::from(a) - f64::from(b));
     let (bias, rmse) = (errors().sum::<f64>() / 64.0, (errors().map(|e| e * e).sum::<f64>() / 64.0).sqrt());
@@ -250,8 +252,16 @@ fn bad_input_has_typed_errors() {
     assert!(seen.is_sorted() && seen.len() > 2 && seen.last() == Some(&1.0));
     for (near, radius) in [(0.0, 1.0), (f32::NAN, 1.0), (0.1, -1.0), (0.1, f32::NAN)] {
         let march = MarchOptions::default();
-        let refused = FieldCones::new(&field, 32, near, radius, &march, BackEnd::best()).unwrap_err();
+        let refused = FieldCones::new(&field, 32, near, radius, &march).unwrap_err();
         assert!(matches!(refused, MaskError::Radius(_)));
+    }
+    for march in [
+        MarchOptions::default().with_cones(0),
+        MarchOptions::default().with_coarseness(0.0),
+        MarchOptions::default().with_coarseness(f32::NAN),
+    ] {
+        let refused = FieldCones::new(&field, 32, 0.1, 1.0, &march).unwrap_err();
+        assert!(matches!(refused, MaskError::Option { .. }));
     }
     // A single point has no extent at all.
     let flat = OpacityField::build(&[[1.0; 3]; 3], &[[0, 1, 2]], &options, &mut |_| true).unwrap();

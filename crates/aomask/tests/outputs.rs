@@ -4,8 +4,8 @@ mod common;
 
 use common::{Points, Scene, pattern, rays, receivers, scene, soup};
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, Sides,
-    TableOptions, exact,
+    BackEnd, MaskCall, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Receiver, Sides,
+    TableOptions,
 };
 use umbrage_geom::{
     Falloff, Frame, OpticalDepth,
@@ -32,17 +32,7 @@ fn distances_are_those_of_the_nearest_hits() {
         for back_end in supported() {
             let (mut ao, mut distances) = ([0.0; 40], [0.0; 40]);
             let outputs = Outputs::new(&mut ao).with_hit_distances(&mut distances);
-            exact::answer(
-                &scene.bvh,
-                &pattern,
-                &points.0,
-                &points.1,
-                &options,
-                back_end,
-                outputs,
-                &mut |_| true,
-            )
-            .unwrap();
+            common::mask(&scene.bvh, &pattern, (&points.0, &points.1), &options, back_end, outputs).unwrap();
             for i in 0..40 {
                 let hits = rays(&pattern, &points, &options, i).into_iter();
                 let hits: Vec<f64> =
@@ -68,7 +58,9 @@ fn transmittance_counts_every_triangle_once() {
         for back_end in supported() {
             let (mut ao, mut masks, mut bent) = ([0.0; 40], [!0; 80], [[0.0; 3]; 40]);
             let outputs = Outputs::new(&mut ao).with_masks(&mut masks).with_bent_normals(&mut bent);
-            exact::transmit(&scene.bvh, depth, &pattern, &asked, &options, back_end, outputs, &mut |_| true)
+            MaskCall::new(&scene.bvh, &pattern, &asked, &options)
+                .with_back_end(back_end)
+                .transmit(depth, outputs, &mut |_| true)
                 .unwrap();
             for (i, receiver) in asked.iter().enumerate() {
                 let (mut sum, mut direction) = (0.0, Vec3::ZERO);
@@ -103,8 +95,7 @@ fn sectors_and_bent_normals_look_away_from_a_wall() {
     let (mut ao, mut bent, mut sectors) = ([0.0], [[0.0; 3]], [0.0; 4]);
     let outputs = Outputs::new(&mut ao).with_bent_normals(&mut bent).with_sectors(4, &mut sectors);
     let options = MaskOptions::default();
-    exact::answer(&scene.bvh, &pattern, &points, &normals, &options, BackEnd::best(), outputs, &mut |_| true)
-        .unwrap();
+    common::mask(&scene.bvh, &pattern, (&points, &normals), &options, BackEnd::best(), outputs).unwrap();
     assert!((ao[0] - 0.5).abs() < 0.03 && bent[0][0] < -0.3, "{ao:?} {bent:?}");
     // Sectors as the documentation has them: each is open if its middle leads away from the wall.
     let Frame { tangent, bitangent, .. } = Frame::from_normal(Vec3::Z);
@@ -130,15 +121,13 @@ fn falloff_by_lengths_agrees_with_falloff_of_distances() {
         let by_lengths = pattern(1024, falloff.clone());
         let equal = pattern(1024, Falloff::Constant);
         let mut ao = [0.0; 60];
-        exact::answer(
+        common::mask(
             &scene.bvh,
             &by_lengths,
-            &points.0,
-            &points.1,
+            (&points.0, &points.1),
             &options,
             BackEnd::best(),
             Outputs::new(&mut ao),
-            &mut |_| true,
         )
         .unwrap();
         let direct = |i| {
@@ -160,15 +149,13 @@ fn turning_the_scene_keeps_the_mean() {
     let options = MaskOptions::default().with_radius(0.1 * still.mesh.bounds().diagonal());
     let mean = |scene: &Scene, (points, normals): &Points| {
         let mut ao = vec![0.0; points.len()];
-        exact::answer(
+        common::mask(
             &scene.bvh,
             &pattern,
-            points,
-            normals,
+            (points, normals),
             &options,
             BackEnd::best(),
             Outputs::new(&mut ao),
-            &mut |_| true,
         )
         .unwrap();
         ao.iter().map(|&x| f64::from(x)).sum::<f64>() / ao.len() as f64
@@ -193,9 +180,7 @@ fn what_can_not_be_answered_is_refused() {
     let (points, normals) = ([[0.2, 0.2, -1.0]], [[0.0, 0.0, 1.0]]);
     let options = MaskOptions::default();
     let call = |outputs: Outputs<'_>, options: &MaskOptions| {
-        exact::answer(&scene.bvh, &pattern, &points, &normals, options, BackEnd::best(), outputs, &mut |_| {
-            true
-        })
+        common::mask(&scene.bvh, &pattern, (&points, &normals), options, BackEnd::best(), outputs)
     };
     let mut ao = [-1.0];
     for count in [0, 65] {
@@ -214,13 +199,8 @@ fn what_can_not_be_answered_is_refused() {
     ));
     let first = options.with_sides(Sides::FrontFirst);
     let asked = seeded(&(points.to_vec(), normals.to_vec()), &options);
-    let veiled = exact::transmit(
-        &scene.bvh,
+    let veiled = MaskCall::new(&scene.bvh, &pattern, &asked, &first).transmit(
         |_| OpticalDepth::OPAQUE,
-        &pattern,
-        &asked,
-        &first,
-        BackEnd::best(),
         Outputs::new(&mut ao),
         &mut |_| true,
     );
@@ -228,11 +208,11 @@ fn what_can_not_be_answered_is_refused() {
     let fixed = Pattern::new(&PatternOptions::default().with_rays(32).fixed()).unwrap();
     let tables = MaskTables::new(fixed, &TableOptions::default()).unwrap();
     let outputs = Outputs::new(&mut ao);
-    let refused = tables.answer(&scene.bvh, &points, &normals, &first, outputs, &mut |_| true);
+    let refused = common::table(&tables, &scene.bvh, (&points, &normals), &first, outputs, true);
     assert!(matches!(refused, Err(MaskError::Unsupported(_))));
     let (mut far, outputs) = ([0.0], Outputs::new(&mut ao));
     let outputs = outputs.with_hit_distances(&mut far);
-    let refused = tables.answer(&scene.bvh, &points, &normals, &options, outputs, &mut |_| true);
+    let refused = common::table(&tables, &scene.bvh, (&points, &normals), &options, outputs, true);
     assert!(matches!(refused, Err(MaskError::Unsupported(_))));
     assert_eq!(ao, [-1.0]);
     // A lone triangle from behind: fronts don't face the receiver.
@@ -273,18 +253,10 @@ fn masks_with_an_exact_far_field_are_exact() {
     let call = |near: f32, options: &MaskOptions| {
         let (mut ao, mut masks) = ([0.0; 50], [0; 100]);
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
-        let best = BackEnd::best();
-        umbrage_aomask::coarse::answer_receivers(
-            &scene.bvh,
-            &ExactField(&scene, near),
-            &pattern,
-            &asked,
-            options,
-            best,
-            outputs,
-            &mut |_| true,
-        )
-        .map(|()| masks)
+        MaskCall::new(&scene.bvh, &pattern, &asked, options)
+            .with_far(&ExactField(&scene, near))
+            .answer(outputs, &mut |_| true)
+            .map(|()| masks)
     };
     for near in [0.01, 0.3, 2.0] {
         assert_eq!(call(near * options.radius, &options).unwrap().to_vec(), expected, "{near}");
@@ -324,29 +296,18 @@ fn transmittances_with_an_exact_far_field_are_exact() {
     let scene = scene("bush", 4_000);
     let (pattern, points) = (pattern(96, Falloff::Linear), receivers(&scene.mesh, 50, 3));
     let options = MaskOptions::default().with_radius(0.3 * scene.mesh.bounds().diagonal());
-    let (asked, best) = (seeded(&points, &options), BackEnd::best());
+    let asked = seeded(&points, &options);
     let (mut expected, mut blocked) = ([0.0; 50], [0; 100]);
     let outputs = Outputs::new(&mut expected).with_masks(&mut blocked);
-    umbrage_aomask::exact::transmit(&scene.bvh, veil, &pattern, &asked, &options, best, outputs, &mut |_| {
-        true
-    })
-    .unwrap();
+    MaskCall::new(&scene.bvh, &pattern, &asked, &options).transmit(veil, outputs, &mut |_| true).unwrap();
     let call = |near: f32, options: &MaskOptions| {
         let (mut ao, mut masks) = ([0.0; 50], [0; 100]);
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
         let far = ExactVeils(&scene, near);
-        umbrage_aomask::coarse::transmit(
-            &scene.bvh,
-            veil,
-            &far,
-            &pattern,
-            &asked,
-            options,
-            best,
-            outputs,
-            &mut |_| true,
-        )
-        .map(|()| (ao, masks))
+        MaskCall::new(&scene.bvh, &pattern, &asked, options)
+            .with_far(&far)
+            .transmit(veil, outputs, &mut |_| true)
+            .map(|()| (ao, masks))
     };
     for near in [0.01, 0.3, 2.0] {
         let (ao, masks) = call(near * options.radius, &options).unwrap();
@@ -382,8 +343,7 @@ fn odd_receivers_and_radii_have_defined_answers() {
         let options = MaskOptions::default().with_radius(radius).with_sides(sides);
         let outputs = Outputs::new(&mut ao);
         let best = BackEnd::best();
-        exact::answer(&scene.bvh, &pattern, &points, &normals, &options, best, outputs, &mut |_| true)
-            .map(|()| ao)
+        common::mask(&scene.bvh, &pattern, (&points, &normals), &options, best, outputs).map(|()| ao)
     };
     let all = ao(f32::INFINITY, Sides::Both).unwrap();
     assert_eq!([all[0], all[6]], [0.0, 1.0]);
@@ -402,16 +362,8 @@ fn odd_receivers_and_radii_have_defined_answers() {
     let falling = common::pattern(32, Falloff::Linear);
     let unbounded = MaskOptions::default();
     let (mut one, best) = ([0.0; 7], BackEnd::best());
-    let refused = exact::answer(
-        &scene.bvh,
-        &falling,
-        &points,
-        &normals,
-        &unbounded,
-        best,
-        Outputs::new(&mut one),
-        &mut |_| true,
-    );
+    let refused =
+        common::mask(&scene.bvh, &falling, (&points, &normals), &unbounded, best, Outputs::new(&mut one));
     assert_eq!(refused, Err(MaskError::FalloffWithoutRadius));
 }
 
@@ -421,15 +373,11 @@ fn degenerate_triangles_block_nothing_and_empty_scenes_are_refused() {
     let (mut ao, pattern) = ([0.0; 2], pattern(64, Falloff::Constant));
     let (points, normals) = ([[0.0; 3], [0.0, 1.0, 1.0]], [[0.0, 0.0, 1.0]; 2]);
     let (options, best) = (MaskOptions::default(), BackEnd::best());
-    exact::answer(&flat.bvh, &pattern, &points, &normals, &options, best, Outputs::new(&mut ao), &mut |_| {
-        true
-    })
-    .unwrap();
+    common::mask(&flat.bvh, &pattern, (&points, &normals), &options, best, Outputs::new(&mut ao)).unwrap();
     assert_eq!(ao, [1.0; 2]);
     assert!(umbrage_accel::Bvh::build(&[], &[], &umbrage_accel::BuildOptions::default()).is_err());
     // No receivers are no trouble.
-    exact::answer(&flat.bvh, &pattern, &[], &[], &options, best, Outputs::new(&mut []), &mut |_| true)
-        .unwrap();
+    common::mask(&flat.bvh, &pattern, (&[], &[]), &options, best, Outputs::new(&mut [])).unwrap();
 }
 
 #[test]
@@ -444,8 +392,7 @@ fn bad_patterns_and_receivers_are_named() {
         let (scene, options, best) = (cube(), MaskOptions::default(), BackEnd::best());
         let mut ao = [-1.0];
         let (outputs, up) = (Outputs::new(&mut ao), [[0.0, 0.0, 1.0]]);
-        let refused =
-            exact::answer(&scene.bvh, &pattern, &[[0.0; 3]], &up, &options, best, outputs, &mut |_| true);
+        let refused = common::mask(&scene.bvh, &pattern, (&[[0.0; 3]], &up), &options, best, outputs);
         assert!(matches!(refused, Err(MaskError::Rays { rays: n, .. }) if n == rays));
     }
     for table in [vec![0.5, 0.8], vec![1.0, f32::NAN, 0.0], vec![]] {
@@ -457,7 +404,7 @@ fn bad_patterns_and_receivers_are_named() {
     let mut call = |points: &[[f32; 3]], normals: &[[f32; 3]]| {
         let (options, best) = (MaskOptions::default(), BackEnd::best());
         let outputs = Outputs::new(&mut ao);
-        exact::answer(&scene.bvh, &pattern, points, normals, &options, best, outputs, &mut |_| true)
+        common::mask(&scene.bvh, &pattern, (points, normals), &options, best, outputs)
     };
     let up = [0.0, 0.0, 1.0];
     for bad in [[0.0; 3], [f32::NAN, 0.0, 0.0], [f32::INFINITY, 0.0, 0.0]] {

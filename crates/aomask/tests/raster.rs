@@ -3,9 +3,10 @@
 mod common;
 
 use common::*;
+use umbrage_accel::Counters;
 use umbrage_aomask::{
-    MaskError, MaskOptions, MaskTables, Outputs, Pattern, RasterCamera, RasterLevel, RasterOptions,
-    RasterView, Sides, TableOptions, raster::RasterCounters, rasterize,
+    MaskError, MaskOptions, MaskTables, Outputs, Pattern, RasterCall, RasterCamera, RasterLevel,
+    RasterOptions, RasterView, Sides, TableOptions,
 };
 use umbrage_geom::{Falloff, Ray, TriangleMesh, glam::Vec3, offset_origin};
 
@@ -51,12 +52,15 @@ impl Picture {
         levels: &[RasterLevel<'_>],
         options: &MaskOptions,
         raster: &RasterOptions,
-    ) -> (Vec<u64>, RasterCounters) {
+    ) -> (Vec<u64>, Counters) {
         let mut ao = vec![f32::NAN; self.points.0.len()];
         let mut masks = vec![!0; ao.len() * tables.pattern().words()];
         let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
-        let counters =
-            rasterize(tables, levels, &self.view(), options, raster, outputs, &mut |_| true).unwrap();
+        let counters = RasterCall::new(tables, levels, &self.view())
+            .with_options(*options)
+            .with_raster(*raster)
+            .run(outputs, &mut |_| true)
+            .unwrap();
         (masks, counters)
     }
 }
@@ -83,7 +87,7 @@ fn references(
         let mut ao = [0.0];
         let mut mask = vec![0; words];
         let outputs = Outputs::new(&mut ao).with_masks(&mut mask);
-        tables.answer(&scene.bvh, &one.0, &one.1, options, outputs, &mut |_| true).unwrap();
+        common::table(tables, &scene.bvh, (&one.0, &one.1), options, outputs, true).unwrap();
         out[2].extend(mask);
     }
     out
@@ -151,16 +155,16 @@ fn culling_tests_change_the_work_only() {
     for (tests, (masks, counters)) in all.iter().enumerate() {
         assert_eq!(masks, &all[5].0);
         assert_eq!(counters.fragments, all[5].1.fragments);
-        let expected = if tests == 0 { counters.fragments } else { counters.after[tests - 1] };
-        assert_eq!(counters.lookups, expected, "{tests}");
+        let expected = if tests == 0 { counters.fragments } else { counters.fragments_after[tests - 1] };
+        assert_eq!(counters.fragment_masks, expected, "{tests}");
     }
-    let after = all[5].1.after;
+    let after = all[5].1.fragments_after;
     assert!(
         after.windows(2).all(|pair| pair[0] >= pair[1]) && after[4] < all[5].1.fragments / 2,
         "{after:?}"
     );
     // The first five rows of the table are counted whichever tests are used, save where early ones end the work.
-    assert_eq!(all[5].1.after, all[2].1.after);
+    assert_eq!(all[5].1.fragments_after, all[2].1.fragments_after);
 }
 
 #[test]
@@ -211,7 +215,10 @@ fn bad_views_and_levels_are_named() {
     let mut ao = vec![-1.0; 20];
     let mut call = |levels: &[RasterLevel<'_>], view: &RasterView<'_>, factor: f32, cancel: bool| {
         let raster = RasterOptions::default().with_range_factor(factor);
-        rasterize(&tables, levels, view, &options, &raster, Outputs::new(&mut ao), &mut |_| !cancel)
+        RasterCall::new(&tables, levels, view)
+            .with_options(options)
+            .with_raster(raster)
+            .run(Outputs::new(&mut ao), &mut |_| !cancel)
     };
     let view = picture.view();
     let shorter = RasterView::new(picture.camera, 5, 5, view.points, view.normals);
@@ -220,6 +227,13 @@ fn bad_views_and_levels_are_named() {
         assert!(matches!(
             call(&[level], &view, factor, false),
             Err(MaskError::Level { what: "range factor", .. })
+        ));
+    }
+    for footprint in [-1.0, f32::NAN, f32::INFINITY] {
+        let wide = view.with_footprint(footprint);
+        assert!(matches!(
+            call(&[level], &wide, 3.0, false),
+            Err(MaskError::Option { name: "footprint", .. })
         ));
     }
     let coarse = RasterLevel { error: 0.1, ..level };
@@ -234,11 +248,17 @@ fn bad_views_and_levels_are_named() {
     assert_eq!(ao, [-1.0; 20]);
     // Without geometry all is open.
     let raster = RasterOptions::default();
-    rasterize(&tables, &[], &view, &options, &raster, Outputs::new(&mut ao), &mut |_| true).unwrap();
+    RasterCall::new(&tables, &[], &view)
+        .with_options(options)
+        .with_raster(raster)
+        .run(Outputs::new(&mut ao), &mut |_| true)
+        .unwrap();
     assert_eq!(ao, [1.0; 20]);
     let none = RasterView::new(picture.camera, 0, 0, &[], &[]);
     let mut nothing = [];
-    let counters =
-        rasterize(&tables, &[level], &none, &options, &raster, Outputs::new(&mut nothing), &mut |_| true);
-    assert_eq!(counters, Ok(RasterCounters::default()));
+    let counters = RasterCall::new(&tables, &[level], &none)
+        .with_options(options)
+        .with_raster(raster)
+        .run(Outputs::new(&mut nothing), &mut |_| true);
+    assert_eq!(counters, Ok(Counters::default()));
 }

@@ -4,8 +4,8 @@ mod common;
 
 use common::*;
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, MaskTables, NodeMasks, Outputs, Pattern, PatternOptions, Sides,
-    TableOptions,
+    BackEnd, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions, Sides, TableOptions,
+    published::NodeMasks,
 };
 use umbrage_geom::{Falloff, TriangleMesh, glam::Vec3};
 
@@ -17,8 +17,7 @@ fn masks(tables: &MaskTables, scene: &Scene, points: &Points, options: &MaskOpti
     let mut ao = vec![f32::NAN; points.0.len()];
     let mut masks = vec![!0; points.0.len() * tables.pattern().words()];
     let outputs = Outputs::new(&mut ao).with_masks(&mut masks);
-    tables
-        .answer(&scene.bvh, &points.0, &points.1, options, outputs, &mut |_| true)
+    common::table(tables, &scene.bvh, (&points.0, &points.1), options, outputs, true)
         .expect("valid receivers");
     for (ao, mask) in ao.iter().zip(masks.chunks(tables.pattern().words())) {
         let blocked: u32 = mask.iter().map(|w| w.count_ones()).sum();
@@ -204,7 +203,7 @@ fn bad_input_is_named() {
     let mut ao = vec![-1.0; 4];
     let mut call = |points: &[[f32; 3]], normals: &[[f32; 3]], radius: f32| {
         let options = MaskOptions::default().with_radius(radius);
-        tables.answer(&scene.bvh, points, normals, &options, Outputs::new(&mut ao), &mut |_| true)
+        common::table(&tables, &scene.bvh, (points, normals), &options, Outputs::new(&mut ao), true)
     };
     for radius in [0.0, -1.0, f32::NAN] {
         assert!(matches!(call(&points, &normals, radius), Err(MaskError::Radius(_))));
@@ -221,7 +220,7 @@ fn bad_input_is_named() {
     let cancelled = {
         let outputs = Outputs::new(&mut ao);
         let options = MaskOptions::default().with_radius(1.0);
-        tables.answer(&scene.bvh, &points, &normals, &options, outputs, &mut |_| false)
+        common::table(&tables, &scene.bvh, (&points, &normals), &options, outputs, false)
     };
     assert_eq!(cancelled, Err(MaskError::Cancelled));
     assert_eq!(ao, [-1.0; 4]);
@@ -231,13 +230,13 @@ fn bad_input_is_named() {
         let error = MaskTables::new(pattern.clone(), &options).unwrap_err();
         assert!(matches!(error, MaskError::Resolution { .. }));
     }
-    let none = tables.answer(
+    let none = common::table(
+        &tables,
         &scene.bvh,
-        &[],
-        &[],
+        (&[], &[]),
         &MaskOptions::default().with_radius(1.0),
         Outputs::new(&mut []),
-        &mut |_| true,
+        true,
     );
     assert_eq!(none, Ok(()));
 }

@@ -135,7 +135,14 @@ pub fn validate_slices(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Result
         }
     }
     validate_positions(positions)?;
-    let vertices = positions.len();
+    validate_indices(triangles, positions.len())
+}
+
+/// Checks that all triangles are of `vertices` vertices.
+///
+/// # Errors
+/// [`MeshError::Index`].
+pub fn validate_indices(triangles: &[[u32; 3]], vertices: usize) -> Result<(), MeshError> {
     for (triangle, corners) in triangles.iter().enumerate() {
         if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
             return Err(MeshError::Index { triangle, vertex, vertices });

@@ -6,13 +6,13 @@ use proptest::prelude::*;
 use rayon::prelude::*;
 use solids::{Aim, Part, aim, mesh, part, segments};
 use std::sync::Arc;
-use umbrage_accel::{BuildOptions, Bvh, InstancedBvh, Placement, brute};
+use umbrage_accel::{BuildOptions, Bvh, Counters, InstancedBvh, Placement, brute};
 use umbrage_geom::{
     Ray,
     glam::{Affine3A, EulerRot, Mat3A, Quat, Vec3, Vec3A},
 };
 use umbrage_occlusion::volumetric::{
-    Ends, LazySolidBvh, Object, SolidBvhOptions, SolidCounters, SolidInstances,
+    Ends, LazySolidBvh, Object, ObjectMesh, SolidBvhOptions, SolidInstances,
 };
 
 /// Turned, stretched, sheared, mirrored.
@@ -35,7 +35,8 @@ fn lazy<'a>(
     (positions, triangles): &'a solids::Mesh,
     objects: &[Object],
 ) -> LazySolidBvh<'a> {
-    LazySolidBvh::new(bvh.clone(), positions, triangles, objects, &SolidBvhOptions::default())
+    let parts = ObjectMesh::new(positions, triangles).with_objects(objects.to_vec());
+    LazySolidBvh::build(bvh.clone(), &parts, &SolidBvhOptions::default()).unwrap()
 }
 
 fn plain((positions, triangles): &solids::Mesh) -> Arc<Bvh> {
@@ -73,12 +74,12 @@ proptest! {
         let rays: Vec<Ray> = aims.iter().map(segment).collect();
         let views: Vec<_> =
             built.iter().map(|((positions, triangles), _)| (&positions[..], &triangles[..])).collect();
-        let solid = SolidInstances::new(
+        let solid = SolidInstances::build(
             &top,
             built.iter().zip(&bvhs).map(|((mesh, objects), bvh)| lazy(bvh, mesh, objects)).collect(),
-        );
+        ).unwrap();
         prop_assert_eq!(solid.prepared().prepared, 0);
-        let mut counters = SolidCounters::default();
+        let mut counters = Counters::default();
         let mut scratch = solid.scratch();
         // Twice: with boxes that are just being made, and with all of them.
         for _ in 0..2 {
@@ -86,7 +87,7 @@ proptest! {
                 let expected = top.any_hit(ray);
                 prop_assert_eq!(expected, brute::closest_instance_hit(&views, &placements, ray).is_some());
                 prop_assert_eq!(solid.any_hit(ray, &mut scratch), expected, "{:?}", ray);
-                prop_assert_eq!(solid.any_hit_counted(ray, &mut scratch, &mut counters), expected);
+                prop_assert_eq!(solid.any_hit_with(ray, &mut scratch, &mut counters), expected);
             }
         }
         let prepared = solid.prepared();
@@ -134,12 +135,12 @@ fn objects_that_no_ray_reaches_are_not_prepared() {
     let lazy = lazy(&bvh, &mesh, &objects);
     let mut scratch = lazy.scratch();
     assert_eq!((lazy.prepared().objects, lazy.prepared().prepared), (12, 0));
-    let mut counters = SolidCounters::default();
+    let mut counters = Counters::default();
     for i in [4, 7, 5] {
         for ray in on_to(i) {
             let expected = bvh.any_hit(&ray);
             assert_eq!(
-                lazy.any_hit_counted(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters),
+                lazy.any_hit_with(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters),
                 expected
             );
         }
@@ -149,7 +150,7 @@ fn objects_that_no_ray_reaches_are_not_prepared() {
     assert_eq!((prepared.prepared, prepared.generators), (3, 2));
     assert!(prepared.boxes > 20 && counters.solid_hits > 90, "{prepared:?} {counters:?}");
     // A ray past all of them.
-    assert!(!lazy.any_hit_counted(
+    assert!(!lazy.any_hit_with(
         &Ray::between([-9.0, 2.0, 0.0], [90.0, 2.0, 0.0]),
         Ends::Unknown,
         None,
@@ -200,19 +201,53 @@ fn instances_share_what_their_mesh_has() {
     placements.push(at(1, 0.0, 0.01));
     placements[20].world_from_object.translation.y = -50.0;
     let top = InstancedBvh::build(bvhs.clone(), &placements).unwrap();
-    let solid = SolidInstances::new(&top, vec![lazy(&bvhs[0], &ball, &one), lazy(&bvhs[1], &other, &two)]);
-    let (mut scratch, mut counters) = (solid.scratch(), SolidCounters::default());
+    let solid =
+        SolidInstances::build(&top, vec![lazy(&bvhs[0], &ball, &one), lazy(&bvhs[1], &other, &two)]).unwrap();
+    let (mut scratch, mut counters) = (solid.scratch(), Counters::default());
     for i in 0..20 {
         let x = 4.0 * i as f32;
         for k in 0..20 {
             let through = Ray::between([x + 0.04 * k as f32 - 0.4, 3.0, 0.1], [x, -3.0, 0.0]);
-            assert!(solid.any_hit_counted(&through, &mut scratch, &mut counters));
+            assert!(solid.any_hit_with(&through, &mut scratch, &mut counters));
             // A light inside of the instance, seen from inside.
             let inside = Ray::between([x + 0.02 * k as f32 - 0.2, 0.5, 0.1], [x, -0.5, 0.0]);
-            assert!(!solid.any_hit_counted(&inside, &mut scratch, &mut counters));
+            assert!(!solid.any_hit_with(&inside, &mut scratch, &mut counters));
         }
     }
     let prepared = solid.prepared();
     assert_eq!((prepared.objects, prepared.prepared, prepared.generators), (3, 1, 1));
     assert!(counters.solid_hits > 380, "{counters:?}");
+}
+
+#[test]
+fn scratch_of_another_structure_starts_anew() {
+    let ball = solids::sphere(4);
+    let moved: solids::Mesh = (ball.0.iter().map(|p| [p[0] + 10.0, p[1], p[2]]).collect(), ball.1.clone());
+    let [here, there] = [&ball, &moved].map(|mesh| lazy(&plain(mesh), mesh, &[]));
+    let through = |i: usize| Ray::between([3.0, 0.01 * i as f32, 0.1], [-3.0, 0.0, 0.0]);
+    let mut scratch = here.scratch();
+    let mut any_hit = |solid: &LazySolidBvh<'_>, ray: &Ray| {
+        let mut hit = [false];
+        solid.any_hits(std::slice::from_ref(ray), &mut hit, Ends::Unknown, Some(0), &mut scratch);
+        hit[0]
+    };
+    for i in 0..40 {
+        assert!(any_hit(&here, &through(i)));
+        assert!(!any_hit(&there, &through(i)));
+    }
+    // One mesh, then two.
+    let at =
+        |bvh, x| Placement { bvh, world_from_object: Affine3A::from_translation(Vec3::new(x, 0.0, 0.0)) };
+    let bvhs = vec![plain(&ball), plain(&ball)];
+    let one = InstancedBvh::build(bvhs[..1].to_vec(), &[at(0, 0.0)]).unwrap();
+    let two = InstancedBvh::build(bvhs.clone(), &[at(0, 10.0), at(1, 20.0)]).unwrap();
+    let meshes = |count: usize| (0..count).map(|i| lazy(&bvhs[i], &ball, &[])).collect::<Vec<_>>();
+    let solids =
+        [SolidInstances::build(&one, meshes(1)).unwrap(), SolidInstances::build(&two, meshes(2)).unwrap()];
+    let mut scratch = solids[0].scratch();
+    for i in 0..40 {
+        assert!(solids[0].any_hit(&through(i), &mut scratch));
+        assert!(!solids[1].any_hit(&through(i), &mut scratch));
+    }
+    assert!(SolidInstances::build(&two, meshes(1)).is_err());
 }

@@ -7,9 +7,10 @@ use umbrage_geom::{
     glam::{Mat3, Vec3},
     sampling::RandomStream,
 };
+use umbrage_occlusion::OcclusionError;
 use umbrage_occlusion::prefilter::{
-    Blend, ConeRay, Correlation, Directions, PrefilterError, PrefilterOptions, Prefiltered, Query,
-    SegmentEnds, Storage, published::Published,
+    ConeQuery, ConeRay, Directions, PrefilterOptions, Prefiltered,
+    published::{Blend, Correlation, Published, SegmentEnds, Storage},
 };
 use umbrage_scene::generate::{Parameters, generate};
 
@@ -56,7 +57,7 @@ fn cones(mesh: &TriangleMesh, count: usize, seed: u32) -> Vec<ConeRay> {
         .collect()
 }
 
-fn answers(scene: &Prefiltered, rays: &[ConeRay], query: &Query) -> Vec<f32> {
+fn answers(scene: &Prefiltered, rays: &[ConeRay], query: &ConeQuery) -> Vec<f32> {
     let mut passed = vec![f32::NAN; rays.len()];
     scene.transmittances(rays, query, &mut passed);
     passed
@@ -72,10 +73,10 @@ fn exact_queries_are_those_of_the_bvh() {
     for storage in Storage::ALL {
         let options = PrefilterOptions::default().with_storage(storage).with_lines(2);
         let scene = build(&mesh.positions, &mesh.triangles, &opacity, &options);
-        let exact = answers(&scene, &rays, &Query::EXACT);
+        let exact = answers(&scene, &rays, &ConeQuery::EXACT);
         let narrow =
             |angle| -> Vec<ConeRay> { rays.iter().map(|r| ConeRay { solid_angle: angle, ..*r }).collect() };
-        let query = Query::new(0.2).expect("above 0");
+        let query = ConeQuery::new(0.2).expect("above 0");
         for (i, ray) in rays.iter().enumerate() {
             let truth = bvh.transmittance(&ray.ray, |prim| depths[prim as usize]).transmittance();
             assert_eq!(exact[i].to_bits(), truth.to_bits());
@@ -83,8 +84,8 @@ fn exact_queries_are_those_of_the_bvh() {
         for angle in [0.0, -1.0, f32::NAN] {
             assert_eq!(answers(&scene, &narrow(angle), &query), exact);
         }
-        assert_eq!(answers(&scene, &rays, &Query::new(f32::INFINITY).expect("above 0")), exact);
-        assert_eq!(answers(&scene, &rays, &query.with_widest(0.0)), exact);
+        assert_eq!(answers(&scene, &rays, &ConeQuery::new(f32::INFINITY).expect("above 0")), exact);
+        assert_eq!(answers(&scene, &rays, &query.with_widest(0.0).unwrap()), exact);
     }
 }
 
@@ -99,7 +100,7 @@ fn packets_answer_as_single_rays() {
     }
     rays[5].ray.direction = Vec3::ZERO;
     rays[6].ray.tfar = f32::NAN;
-    for query in [0.1, 1.0].map(|t| Query::new(t).expect("above 0")) {
+    for query in [0.1, 1.0].map(|t| ConeQuery::new(t).expect("above 0")) {
         let together = answers(&scene, &rays, &query);
         for (ray, &answer) in rays.iter().zip(&together) {
             assert_eq!(scene.transmittance(ray, &query).to_bits(), answer.to_bits());
@@ -112,7 +113,7 @@ fn packets_answer_as_single_rays() {
 fn threads_change_nothing() {
     let mesh = generated("tentacles", 8_000, 0);
     let rays = cones(&mesh, 3_000, 3);
-    let query = Query::new(0.3).expect("above 0");
+    let query = ConeQuery::new(0.3).expect("above 0");
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| {
@@ -133,9 +134,9 @@ fn rays_end_early_and_stay_close_to_the_truth() {
             cones(&mesh, 4_000, 4).into_iter().map(|r| ConeRay { solid_angle: 3e-3, ..r }).collect();
         let (mut few, mut many) = (Counters::default(), Counters::default());
         let mut passed = [vec![0.0; rays.len()], vec![0.0; rays.len()]];
-        let query = Query::new(0.2).expect("above 0");
+        let query = ConeQuery::new(0.2).expect("above 0");
         scene.transmittances_with(&rays, &query, &mut passed[0], &mut few);
-        scene.transmittances_with(&rays, &Query::EXACT, &mut passed[1], &mut many);
+        scene.transmittances_with(&rays, &ConeQuery::EXACT, &mut passed[1], &mut many);
         // Exact opaque rays end early too.
         assert!(opacity == 1.0 || few.nodes * 3 < many.nodes * 2, "{} {}", few.nodes, many.nodes);
         let mean = |v: &[f32]| v.iter().sum::<f32>() / v.len() as f32;
@@ -149,7 +150,7 @@ fn rays_end_early_and_stay_close_to_the_truth() {
 fn more_triangles_let_less_through() {
     let (mut positions, mut triangles) = flakes(1500, 0.08, 1);
     let options = PrefilterOptions::default();
-    let query = Query::new(0.3).unwrap();
+    let query = ConeQuery::new(0.3).unwrap();
     let mut last = f64::INFINITY;
     for seed in 2..6 {
         let mesh = TriangleMesh::new(positions.clone(), triangles.clone()).unwrap();
@@ -189,8 +190,8 @@ fn a_closed_box_lets_nothing_out() {
         .collect();
     for t in [1e-6, 0.01, 0.1, 0.5, 2.0, 100.0] {
         for ends in [SegmentEnds::Fraction, SegmentEnds::Whole] {
-            for widest in [Query::WIDEST, 1e3] {
-                let query = Query::new(t).expect("above 0").with_ends(ends).with_widest(widest);
+            for widest in [ConeQuery::WIDEST, 1e3] {
+                let query = ConeQuery::new(t).expect("above 0").with_ends(ends).with_widest(widest).unwrap();
                 assert!(answers(&scene, &rays, &query).iter().all(|&passed| passed == 0.0), "T = {t}");
             }
         }
@@ -213,7 +214,7 @@ fn turning_everything_changes_little() {
             ..*r
         })
         .collect();
-    let query = Query::new(0.2).expect("above 0");
+    let query = ConeQuery::new(0.2).expect("above 0");
     let mean = |v: Vec<f32>| v.iter().sum::<f32>() / v.len() as f32;
     let (a, b) = (mean(answers(&straight, &rays, &query)), mean(answers(&oblique, &also, &query)));
     assert!((a - b).abs() < 0.01, "{a} {b}");
@@ -225,7 +226,7 @@ fn refits_follow_the_vertices() {
     let options = PrefilterOptions::default();
     let mut scene = build(&mesh.positions, &mesh.triangles, &[0.85], &options);
     let rays = cones(&mesh, 500, 6);
-    let query = Query::new(0.2).expect("above 0");
+    let query = ConeQuery::new(0.2).expect("above 0");
     let before = answers(&scene, &rays, &query);
     scene.refit(&mesh.positions, &mut |_| true).expect("as many vertices");
     assert_eq!(answers(&scene, &rays, &query), before);
@@ -233,14 +234,14 @@ fn refits_follow_the_vertices() {
         mesh.positions.iter().map(|p| [p[0] + 0.3 * p[1] * p[1], p[1], 0.8 * p[2]]).collect();
     scene.refit(&moved, &mut |_| true).expect("as many vertices");
     let fresh = build(&moved, &mesh.triangles, &[0.85], &options);
-    assert_eq!(answers(&scene, &rays, &Query::EXACT), answers(&fresh, &rays, &Query::EXACT));
+    assert_eq!(answers(&scene, &rays, &ConeQuery::EXACT), answers(&fresh, &rays, &ConeQuery::EXACT));
     let mean = |v: Vec<f32>| v.iter().sum::<f32>() / v.len() as f32;
     let (kept, new) = (mean(answers(&scene, &rays, &query)), mean(answers(&fresh, &rays, &query)));
     assert!((kept - new).abs() < 0.02, "{kept} {new}");
-    assert!(matches!(scene.refit(&moved[1..], &mut |_| true), Err(PrefilterError::Build(_))));
+    assert!(matches!(scene.refit(&moved[1..], &mut |_| true), Err(OcclusionError::Build(_))));
     assert!(matches!(
         scene.refit(&vec![[f32::NAN; 3]; moved.len()], &mut |_| true),
-        Err(PrefilterError::Mesh(_))
+        Err(OcclusionError::Mesh(_))
     ));
 }
 
@@ -303,7 +304,7 @@ proptest! {
     #[test]
     fn answers_are_fractions(
         seed in 0u32..1000, count in 1usize..80, flat in any::<bool>(), alpha in 0f32..=1.0,
-        t in prop::sample::select(vec![1e-6f32, 0.1, 1.0, 1e6]), widest in prop::sample::select(vec![0.35f32, 1e9, f32::NAN]),
+        t in prop::sample::select(vec![1e-6f32, 0.1, 1.0, 1e6]), widest in prop::sample::select(vec![0.35f32, 1e9, 0.0]),
         storage in prop::sample::select(Storage::ALL.to_vec()), anywhere in any::<bool>(),
     ) {
         let (mut positions, triangles) = flakes(count, 0.3, seed);
@@ -319,7 +320,7 @@ proptest! {
         rays[1].ray = Ray::new([0.5, 0.25, 0.5], [0.0, 0.0, 1.0]).with_tfar(0.1);
         rays[2].solid_angle = f32::INFINITY;
         for blend in [Blend::Random, Blend::None] {
-            let query = Query::new(t).unwrap().with_widest(widest).with_blend(blend);
+            let query = ConeQuery::new(t).unwrap().with_widest(widest).unwrap().with_blend(blend);
             prop_assert!(answers(&scene, &rays, &query).iter().all(|x| (0.0..=1.0).contains(x)));
         }
     }
@@ -334,13 +335,13 @@ fn bad_input_has_names() {
     };
     for value in [-0.1, 1.1, f32::NAN] {
         let error = fails(&[value], &default);
-        assert!(matches!(error, PrefilterError::Opacity { index: 0, .. }), "{error}");
+        assert!(matches!(error, OcclusionError::Opacity { index: 0, .. }), "{error}");
     }
-    assert_eq!(fails(&[], &default), PrefilterError::OpacityCount { count: 0, triangles: 10 });
-    assert_eq!(fails(&[0.5; 3], &default), PrefilterError::OpacityCount { count: 3, triangles: 10 });
+    assert_eq!(fails(&[], &default), OcclusionError::OpacityCount { count: 0, triangles: 10 });
+    assert_eq!(fails(&[0.5; 3], &default), OcclusionError::OpacityCount { count: 3, triangles: 10 });
     for height in [-1.0, f32::NAN, f32::INFINITY] {
         let error = fails(&[1.0], &default.with_correlation(Correlation::Height(height)));
-        assert!(matches!(error, PrefilterError::CorrelationHeight(_)), "{error}");
+        assert!(matches!(error, OcclusionError::CorrelationHeight(_)), "{error}");
     }
     for directions in [0, 13, 255] {
         let error = fails(&[1.0], &default.with_directions(directions));
@@ -348,11 +349,13 @@ fn bad_input_has_names() {
     }
     assert!(fails(&[1.0], &default.with_lines(0)).to_string().contains("lines"));
     let empty = Prefiltered::build(&[], &[], &[1.0], &default, &mut |_| true);
-    assert!(matches!(empty, Err(PrefilterError::Mesh(_))));
+    assert!(matches!(empty, Err(OcclusionError::Mesh(_))));
     let cancelled = Prefiltered::build(&positions, &triangles, &[1.0], &default, &mut |_| false);
-    assert!(matches!(cancelled, Err(PrefilterError::Cancelled)));
+    assert!(matches!(cancelled, Err(OcclusionError::Cancelled)));
     for t in [0.0, -1.0, f32::NAN] {
-        assert!(matches!(Query::new(t), Err(PrefilterError::Threshold(_))));
+        assert!(matches!(ConeQuery::new(t), Err(OcclusionError::Threshold(_))));
+        assert!(matches!(ConeQuery::EXACT.with_widest(-1.0), Err(OcclusionError::Setting { .. })));
+        assert!(matches!(ConeQuery::EXACT.with_widest(f32::NAN), Err(OcclusionError::Setting { .. })));
     }
     assert!(Published::build(&positions, &triangles, 2.0, 1.0, 3).is_err());
     assert!(Published::build(&positions, &triangles, 1.0, f32::NAN, 3).is_err());
@@ -389,7 +392,7 @@ fn instances_dim_as_copies_do() {
     let instances = PrefilteredInstances::new(&top, vec![one.clone()], &[0; 3]).expect("as many");
     let rays: Vec<ConeRay> =
         cones(&copies, 4_000, 11).into_iter().map(|r| ConeRay { solid_angle: 0.003, ..r }).collect();
-    for (query, tolerance) in [(Query::EXACT, 1e-4), (Query::new(0.2).expect("above 0"), 0.01)] {
+    for (query, tolerance) in [(ConeQuery::EXACT, 1e-4), (ConeQuery::new(0.2).expect("above 0"), 0.01)] {
         let mean = |v: &[f32]| v.iter().sum::<f32>() / v.len() as f32;
         let placed: Vec<f32> = rays.iter().map(|ray| instances.transmittance(ray, &query)).collect();
         let (a, b) = (mean(&placed), mean(&answers(&flat, &rays, &query)));
@@ -397,11 +400,11 @@ fn instances_dim_as_copies_do() {
     }
     assert!(matches!(
         PrefilteredInstances::new(&top, vec![one.clone()], &[0; 2]),
-        Err(PrefilterError::InstanceCount { .. })
+        Err(OcclusionError::InstanceCount { .. })
     ));
     assert!(matches!(
         PrefilteredInstances::new(&top, vec![one], &[0, 0, 1]),
-        Err(PrefilterError::Hierarchy { instance: 2, .. })
+        Err(OcclusionError::Hierarchy { instance: 2, .. })
     ));
 }
 
@@ -427,17 +430,17 @@ fn plans_keep_the_error_they_promise() {
         // On receivers that the pilot has not seen.
         let mut squares = 0.0;
         for i in 128..256 {
-            let mean = |rays, seed, query: &Query| {
+            let mean = |rays, seed, query: &ConeQuery| {
                 let mut cones = Vec::new();
                 fan(i, rays, seed, &mut cones);
                 let passed = answers(&scene, &cones, query);
                 passed.iter().sum::<f32>() / passed.len() as f32
             };
-            squares += (mean(plan.rays, 9, &plan.query) - mean(900, 10, &Query::EXACT)).powi(2) / 128.0;
+            squares += (mean(plan.rays, 9, &plan.query) - mean(900, 10, &ConeQuery::EXACT)).powi(2) / 128.0;
         }
         assert!(squares.sqrt() < 1.5 * target, "{target}: {}", squares.sqrt());
     }
-    assert!(matches!(scene.plan(0.0, 128, fan), Err(PrefilterError::Target { .. })));
-    assert!(matches!(scene.plan(f32::NAN, 128, fan), Err(PrefilterError::Target { .. })));
-    assert!(matches!(scene.plan(0.1, 0, fan), Err(PrefilterError::Target { .. })));
+    assert!(matches!(scene.plan(0.0, 128, fan), Err(OcclusionError::Target { .. })));
+    assert!(matches!(scene.plan(f32::NAN, 128, fan), Err(OcclusionError::Target { .. })));
+    assert!(matches!(scene.plan(0.1, 0, fan), Err(OcclusionError::Target { .. })));
 }

@@ -6,16 +6,17 @@ use proptest::prelude::*;
 use solids::{Aim, Mesh, Part, aim, cube, mesh, part, segments, sphere};
 use std::sync::Arc;
 use umbrage_accel::{
-    BackEnd, BuildOptions, Bvh, brute,
+    BackEnd, BuildOptions, Bvh, Counters, brute,
     kdtree::{KdOptions, LeafState, Order, Search},
 };
 use umbrage_geom::{
     Aabb, Ray,
     glam::{DVec3, Vec3},
 };
+use umbrage_occlusion::OcclusionError;
 use umbrage_occlusion::volumetric::{
-    Classifier, Counters, Ends, KdVolumetric, KdVolumetricOptions, Object, Query, Scratch, ShadowRays,
-    SolidBvh, SolidBvhOptions, SolidCounters, SolidOptions,
+    Ends, KdQuery, KdVolumetric, KdVolumetricOptions, KdVolumetricScratch, LazySolidBvh, Object, ObjectMesh,
+    ShadowRays, SolidBvh, SolidBvhOptions, SolidOptions, published::Classifier,
 };
 
 fn orders() -> Vec<Order> {
@@ -23,6 +24,21 @@ fn orders() -> Vec<Order> {
         vec![Order::RAY, Order::EXTENDED, Order::EXTENDED_SPARSE, Order::BREADTH, Order::QUICK, Order::SOLID];
     orders.extend([Search::Breadth, Search::Quick, Search::Solid].map(|s| Order::new(s, 2).with_flush(true)));
     orders
+}
+
+fn kd(
+    positions: &[[f32; 3]],
+    triangles: &[[u32; 3]],
+    objects: &[Object],
+    options: &KdVolumetricOptions,
+) -> KdVolumetric {
+    let mesh = ObjectMesh::new(positions, triangles).with_objects(objects);
+    KdVolumetric::build(&mesh, options, &mut |_| true).unwrap()
+}
+
+fn wide(bvh: Arc<Bvh>, mesh: &Mesh, objects: &[Object]) -> SolidBvh {
+    let mesh = ObjectMesh::new(&mesh.0, &mesh.1).with_objects(objects);
+    SolidBvh::build(bvh, &mesh, &SolidBvhOptions::default()).unwrap()
 }
 
 fn cases() -> impl Strategy<Value = (Vec<Part>, Vec<(Aim, Aim, u8)>)> {
@@ -45,17 +61,17 @@ proptest! {
             .with_tree(KdOptions::default().with_cost_traverse(traverse))
             .with_classifier(if rays_classify { Classifier::TestRays } else { Classifier::Flood });
         let objects = if apart { &objects[..] } else { &[] };
-        let built = KdVolumetric::build(&mesh.0, &mesh.1, objects, &options).unwrap();
+        let built = kd(&mesh.0, &mesh.1, objects, &options);
         for back_end in [BackEnd::Scalar, BackEnd::Avx2].into_iter().filter(|b| b.is_supported()) {
             let built = built.clone().with_back_end(back_end).unwrap();
-            let mut scratch = Scratch::default();
+            let mut scratch = KdVolumetricScratch::default();
             for order in orders() {
                 for (light, guided) in [(None, false), (Some(1), false), (Some(2), true)] {
-                    let query = Query::default().with_order(order).with_light(light).with_guide(guided);
+                    let query = KdQuery::default().with_order(order).with_light(light).with_guide(guided);
                     let single: Vec<bool> = rays.iter().map(|ray| built.any_hit(ray, &query, &mut scratch)).collect();
                     prop_assert_eq!(&single, &truth, "{:?} {:?}", query, back_end);
                     let mut packets = vec![false; rays.len()];
-                    built.any_hits_in_packets(&rays, &mut packets, &query, &mut scratch, &mut ());
+                    built.any_hits(&rays, &mut packets, &query, &mut scratch);
                     prop_assert_eq!(&packets, &truth, "{:?} {:?}", query, back_end);
                     // Where an end is outside for certain, saying so changes nothing.
                     for (ray, &hit) in rays.iter().zip(&truth) {
@@ -76,7 +92,7 @@ proptest! {
         let rays = segments(&mesh, &parts, aims);
         let objects = if apart { &objects[..] } else { &[] };
         let bvh = Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default().with_leaf_size(leaf)).unwrap();
-        let built = SolidBvh::build(Arc::new(bvh), &mesh.0, &mesh.1, objects, &SolidBvhOptions::default());
+        let built = wide(Arc::new(bvh), &mesh, objects);
         // Fans from each origin towards where the other rays go, with lengths and ends of all kinds.
         let fans = rays.iter().flat_map(|from| {
             rays.iter().map(move |to| {
@@ -117,7 +133,7 @@ proptest! {
         let trees = [Classifier::Flood, Classifier::TestRays].map(|classifier| {
             let tree = KdOptions::default().with_cost_traverse(0.1);
             let options = KdVolumetricOptions::default().with_tree(tree).with_classifier(classifier);
-            KdVolumetric::build(&mesh.0, &mesh.1, objects, &options).unwrap()
+            kd(&mesh.0, &mesh.1, objects, &options)
         });
         prop_assert_eq!(trees[0].occluders(), trees[1].occluders());
         let (mut a, mut b) = (Vec::new(), Vec::new());
@@ -127,7 +143,7 @@ proptest! {
         for leaf in a {
             let point = leaf.bounds.min + (leaf.bounds.max - leaf.bounds.min) * Vec3::from(at);
             let inside = point.cmpgt(leaf.bounds.min).all() && point.cmplt(leaf.bounds.max).all();
-            if leaf.state != LeafState::Boundary && inside && !trees[0].solids().generators().is_empty() {
+            if leaf.state != LeafState::Boundary && inside && !trees[0].solids().all().is_empty() {
                 let winding = trees[0].solids().winding_number_of(&mesh.0, &mesh.1, point);
                 prop_assert_eq!(leaf.state == LeafState::Opaque, winding != 0);
             }
@@ -137,7 +153,7 @@ proptest! {
 
 fn build(parts: &[Part], options: &KdVolumetricOptions) -> (Mesh, KdVolumetric) {
     let (mesh, objects) = mesh(parts);
-    let built = KdVolumetric::build(&mesh.0, &mesh.1, &objects, options).unwrap();
+    let built = kd(&mesh.0, &mesh.1, &objects, options);
     (mesh, built)
 }
 
@@ -146,13 +162,13 @@ const BALL: Part = (4, [0.0; 3], [1.0; 3], 11);
 #[test]
 fn a_ball_is_full_of_occluders_that_end_rays() {
     let (mesh, built) = build(&[BALL], &KdVolumetricOptions::default());
-    assert_eq!(built.solids().generators().len(), 1);
+    assert_eq!(built.solids().all().len(), 1);
     let volume: f64 =
         built.occluders().iter().map(|b| (b.max - b.min).as_dvec3()).map(DVec3::element_product).sum();
     assert!(volume > 0.4 * 4.19, "{volume}");
     assert!(built.occurrence_rate() > 0.05 && built.occurrence_rate() < 0.6);
-    let (mut counters, mut scratch) = (Counters::default(), Scratch::default());
-    let query = Query::default().with_light(Some(0));
+    let (mut counters, mut scratch) = (Counters::default(), KdVolumetricScratch::default());
+    let query = KdQuery::default().with_light(Some(0));
     for i in 0..200 {
         let angle = i as f32 * 0.1;
         let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
@@ -186,8 +202,8 @@ fn boxes_grow_over_cells_and_stay_inside() {
         }
     }
     // Rays that follow each other end at what the light remembers; those that pass look nothing up.
-    let (mut counters, mut scratch) = (Counters::default(), Scratch::default());
-    let query = Query::default().with_order(Order::SOLID).with_light(Some(0)).with_guide(true);
+    let (mut counters, mut scratch) = (Counters::default(), KdVolumetricScratch::default());
+    let query = KdQuery::default().with_order(Order::SOLID).with_light(Some(0)).with_guide(true);
     for i in 0..200 {
         let ray = Ray::between([0.0, 3.0, 0.0], [0.004 * i as f32 - 0.4, -3.0, 0.1]);
         assert!(built.any_hit_with(&ray, &query, &mut scratch, &mut counters));
@@ -205,10 +221,10 @@ fn boxes_grow_over_cells_and_stay_inside() {
 #[test]
 fn segments_inside_of_a_ball_hit_nothing() {
     let (_, built) = build(&[BALL], &KdVolumetricOptions::default());
-    let mut scratch = Scratch::default();
+    let mut scratch = KdVolumetricScratch::default();
     let mut counters = Counters::default();
     for order in orders() {
-        let query = Query::default().with_order(order).with_light(Some(0));
+        let query = KdQuery::default().with_order(order).with_light(Some(0));
         let inside = Ray::between([-0.3, 0.1, 0.0], [0.4, -0.2, 0.1]);
         assert!(!built.any_hit_with(&inside, &query, &mut scratch, &mut counters));
         let out = inside.with_tfar(10.0);
@@ -235,12 +251,12 @@ fn bowl(height: f32) -> Mesh {
 fn an_open_ball_has_occluders_for_rays_that_avoid_its_hole() {
     let mesh = bowl(0.9);
     let closed_only = KdVolumetricOptions::default().with_solids(SolidOptions::default().with_max_holes(0));
-    let none = KdVolumetric::build(&mesh.0, &mesh.1, &[], &closed_only).unwrap();
-    assert!(none.solids().generators().is_empty() && none.occluders().is_empty());
-    let built = KdVolumetric::build(&mesh.0, &mesh.1, &[], &KdVolumetricOptions::default()).unwrap();
-    assert_eq!((built.solids().generators()[0].holes, built.solids().guards().len()), (1, 1));
-    let (mut scratch, mut counters) = (Scratch::default(), Counters::default());
-    let query = Query::default();
+    let none = kd(&mesh.0, &mesh.1, &[], &closed_only);
+    assert!(none.solids().all().is_empty() && none.occluders().is_empty());
+    let built = kd(&mesh.0, &mesh.1, &[], &KdVolumetricOptions::default());
+    assert_eq!((built.solids().all()[0].holes, built.solids().guards().len()), (1, 1));
+    let (mut scratch, mut counters) = (KdVolumetricScratch::default(), Counters::default());
+    let query = KdQuery::default();
     // Across, below the hole.
     assert!(built.any_hit_with(
         &Ray::between([-3.0, -0.1, 0.2], [3.0, 0.0, 0.0]),
@@ -263,33 +279,37 @@ fn an_open_ball_has_occluders_for_rays_that_avoid_its_hole() {
 fn a_wide_hierarchy_over_a_ball_ends_rays_at_boxes() {
     let (mesh, objects) = mesh(&[BALL]);
     let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
-    let built = SolidBvh::build(bvh, &mesh.0, &mesh.1, &objects, &SolidBvhOptions::default());
-    assert!(built.generator_count() == 1 && built.coverage(0) > 0.3 && !built.occluders().is_empty());
+    let built = wide(bvh, &mesh, &objects);
+    assert!(
+        built.solid_count() == 1
+            && built.coverage(0).is_some_and(|c| c > 0.3)
+            && !built.occluders().is_empty()
+    );
     for aabb in built.occluders() {
         let farthest = aabb.min.abs().max(aabb.max.abs());
         assert!(farthest.length() < 1.0, "{aabb:?}");
     }
-    let (mut scratch, mut counters) = (built.scratch(), SolidCounters::default());
+    let (mut scratch, mut counters) = (built.scratch(), Counters::default());
     for i in 0..200 {
         let angle = i as f32 * 0.1;
         let from = Vec3::new(3.0 * angle.cos(), 0.3 * (angle * 0.7).sin(), 3.0 * angle.sin());
         let ray = Ray::between(from, -from * 1.1);
-        assert!(built.any_hit_counted(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters));
+        assert!(built.any_hit_with(&ray, Ends::Unknown, Some(0), &mut scratch, &mut counters));
         let inside = Ray::between(from * 0.1, -from * 0.1);
         assert!(!built.any_hit(&inside, Ends::Unknown, Some(0), &mut scratch));
     }
-    assert!(counters.solid_hits == 200 && counters.first_hits > 150, "{counters:?}");
+    assert!(counters.solid_hits == 200 && counters.remembered_hits > 150, "{counters:?}");
     // Once there are many lights none has boxes of its own.
-    let (ray, own) = (Ray::between([3.0, 0.0, 0.0], [-3.0, 0.1, 0.0]), counters.first_hits);
+    let (ray, own) = (Ray::between([3.0, 0.0, 0.0], [-3.0, 0.1, 0.0]), counters.remembered_hits);
     for light in [20, 0] {
-        assert!(built.any_hit_counted(&ray, Ends::Unknown, Some(light), &mut scratch, &mut counters));
+        assert!(built.any_hit_with(&ray, Ends::Unknown, Some(light), &mut scratch, &mut counters));
     }
-    assert!(counters.solid_hits == 202 && counters.first_hits == own, "{counters:?}");
+    assert!(counters.solid_hits == 202 && counters.remembered_hits == own, "{counters:?}");
     // An open one, from inside through the hole.
     let mesh = bowl(0.9);
     let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
-    let built = SolidBvh::build(bvh, &mesh.0, &mesh.1, &[], &SolidBvhOptions::default());
-    assert!(built.generator_count() == 1);
+    let built = wide(bvh, &mesh, &[]);
+    assert!(built.solid_count() == 1);
     let mut scratch = built.scratch();
     assert!(!built.any_hit(&Ray::between([0.0; 3], [0.05, 4.0, 0.0]), Ends::Unknown, None, &mut scratch));
 }
@@ -300,8 +320,9 @@ fn boxes_are_built_only_where_they_pay() {
     let built = |(positions, triangles): &Mesh, objects: &[Object], together: f64| {
         let bvh = Arc::new(Bvh::build(positions, triangles, &BuildOptions::default()).unwrap());
         let options = SolidBvhOptions::default();
+        let parts = ObjectMesh::new(positions, triangles).with_objects(objects);
         let rays = ShadowRays { lights: &[light], count: 1e9, together };
-        let built = SolidBvh::build_if_it_pays(&bvh, positions, triangles, objects, &rays, &options);
+        let built = SolidBvh::build_if_it_pays(&bvh, &parts, &rays, &options).unwrap();
         if let Some(built) = &built {
             let forecast = built.forecast(&[light]);
             assert!(forecast.pays() && forecast.coverage > 0.3 && forecast.occurrence > 0.2, "{forecast:?}");
@@ -337,15 +358,82 @@ fn boxes_are_built_only_where_they_pay() {
 fn flat_and_hopeless_objects_generate_nothing() {
     let (positions, triangles) = cube();
     let flat: Vec<[f32; 3]> = positions.iter().map(|p| [p[0], p[1], 0.5]).collect();
-    let built = KdVolumetric::build(&flat, &triangles, &[], &KdVolumetricOptions::default()).unwrap();
-    assert!(built.solids().generators().is_empty());
+    let built = kd(&flat, &triangles, &[], &KdVolumetricOptions::default());
+    assert!(built.solids().all().is_empty());
     // Half of the cube is missing: the hole is larger than allowed.
-    let built =
-        KdVolumetric::build(&positions, &triangles[..6], &[], &KdVolumetricOptions::default()).unwrap();
-    assert!(built.solids().generators().is_empty());
+    let built = kd(&positions, &triangles[..6], &[], &KdVolumetricOptions::default());
+    assert!(built.solids().all().is_empty());
     // Transparent objects never block.
     let clear = Object { triangles: 0..12, opaque: false };
-    let built =
-        KdVolumetric::build(&positions, &triangles, &[clear], &KdVolumetricOptions::default()).unwrap();
+    let built = kd(&positions, &triangles, &[clear], &KdVolumetricOptions::default());
     assert!(built.occluders().is_empty());
+}
+
+#[test]
+fn scratch_of_another_structure_starts_anew() {
+    let apart: Part = (4, [10.0, 0.0, 0.0], [1.0; 3], 11);
+    let rays: Vec<Ray> =
+        (0..50).map(|i| Ray::between([3.0, 0.01 * i as f32, 0.1], [-3.0, 0.0, 0.0])).collect();
+    let [here, there] = [BALL, apart].map(|part| build(&[part], &KdVolumetricOptions::default()));
+    let query = KdQuery::default().with_light(Some(0));
+    for query in [query, query.with_guide(true)] {
+        let mut scratch = KdVolumetricScratch::default();
+        for _ in 0..2 {
+            assert!(rays.iter().all(|ray| here.1.any_hit(ray, &query, &mut scratch)));
+            assert!(!rays.iter().any(|ray| there.1.any_hit(ray, &query, &mut scratch)));
+        }
+    }
+    let [here, there] = [&here.0, &there.0].map(|mesh| {
+        let bvh = Arc::new(Bvh::build(&mesh.0, &mesh.1, &BuildOptions::default()).unwrap());
+        wide(bvh, mesh, &[])
+    });
+    let mut scratch = here.scratch();
+    for _ in 0..2 {
+        assert!(rays.iter().all(|ray| here.any_hit(ray, Ends::Unknown, Some(0), &mut scratch)));
+        assert!(!rays.iter().any(|ray| there.any_hit(ray, Ends::Unknown, Some(0), &mut scratch)));
+    }
+}
+
+#[test]
+fn bad_objects_hierarchies_and_settings_are_named() {
+    let (positions, triangles) = cube();
+    let mesh = ObjectMesh::new(&positions, &triangles);
+    let bvh = Arc::new(Bvh::build(&positions, &triangles, &BuildOptions::default()).unwrap());
+    let object = |triangles| Object { triangles, opaque: true };
+    let beyond = [object(0..4), object(4..13)];
+    let start_after_end = Object { triangles: std::ops::Range { start: 5, end: 4 }, opaque: true };
+    let turned = [start_after_end];
+    let shared = [object(6..12), object(0..7)];
+    let missing = [[0, 1, 8]];
+    let options = SolidBvhOptions::default();
+    let all = |mesh: &ObjectMesh<'_>, options: &SolidBvhOptions| {
+        let kd = KdVolumetricOptions::default().with_solids(options.solids);
+        let errors = [
+            SolidBvh::build(bvh.clone(), mesh, options).err(),
+            LazySolidBvh::build(bvh.clone(), mesh, options).err(),
+            KdVolumetric::build(mesh, &kd, &mut |_| true).err(),
+        ];
+        assert!(errors[0] == errors[1] && errors[1] == errors[2], "{errors:?}");
+        errors.into_iter().next().flatten()
+    };
+    assert_eq!(all(&mesh, &options), None);
+    let error = all(&mesh.clone().with_objects(&beyond[..]), &options);
+    assert_eq!(error, Some(OcclusionError::Object { object: 1, start: 4, end: 13, triangles: 12 }));
+    let error = all(&mesh.clone().with_objects(&turned[..]), &options);
+    assert_eq!(error, Some(OcclusionError::Object { object: 0, start: 5, end: 4, triangles: 12 }));
+    let error = all(&mesh.clone().with_objects(&shared[..]), &options);
+    assert_eq!(error, Some(OcclusionError::Overlap { triangle: 6, objects: [1, 0] }));
+    for area in [-1.0, f32::NAN, f32::INFINITY] {
+        let options = options.with_solids(SolidOptions::default().with_max_guard_area(area));
+        let error = all(&mesh, &options);
+        assert!(matches!(error, Some(OcclusionError::Setting { what: "max_guard_area", .. })), "{error:?}");
+    }
+    let error = KdVolumetric::build(
+        &ObjectMesh::new(&positions, &missing),
+        &KdVolumetricOptions::default(),
+        &mut |_| true,
+    );
+    assert!(matches!(error, Err(OcclusionError::Mesh(_))));
+    let other = SolidBvh::build(bvh, &ObjectMesh::new(&positions, &triangles[..6]), &options);
+    assert!(matches!(other, Err(OcclusionError::Triangles { count: 12, triangles: 6 })));
 }

@@ -3,7 +3,7 @@
 use umbrage_accel::BuildError;
 use umbrage_aomask::MaskError;
 use umbrage_geom::MeshError;
-use umbrage_occlusion::prefilter::PrefilterError;
+use umbrage_occlusion::OcclusionError;
 use umbrage_reyes::SurfaceError;
 
 /// Why occluders or an engine could not be built, or a call not be answered.
@@ -55,9 +55,9 @@ pub enum QueryError {
         /// What is wrong with it.
         source: SurfaceError,
     },
-    /// A prefiltered hierarchy could not be built or used.
-    #[error("prefiltering: {0}")]
-    Prefilter(PrefilterError),
+    /// Stored or volumetric occlusion could not be built or used.
+    #[error("occlusion: {0}")]
+    Occlusion(OcclusionError),
     /// Masks can't be used with these settings.
     #[error("ambient occlusion by masks: {0}")]
     Mask(MaskError),
@@ -91,11 +91,11 @@ impl From<MaskError> for QueryError {
     }
 }
 
-impl From<PrefilterError> for QueryError {
-    fn from(error: PrefilterError) -> Self {
+impl From<OcclusionError> for QueryError {
+    fn from(error: OcclusionError) -> Self {
         match error {
-            PrefilterError::Cancelled => Self::Cancelled,
-            other => Self::Prefilter(other),
+            OcclusionError::Cancelled => Self::Cancelled,
+            other => Self::Occlusion(other),
         }
     }
 }

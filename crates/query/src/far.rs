@@ -7,12 +7,11 @@
 use crate::engine::Report;
 use umbrage_accel::Bvh;
 use umbrage_aomask::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
+    MaskCall, MaskError, MaskOptions, Outputs, Pattern, PatternOptions, Receiver,
     coarse::{
-        self, Cones, FarField,
+        Cones, FarField,
         field::{FieldCones, FieldOptions, MarchOptions, OpacityField},
     },
-    exact,
 };
 use umbrage_geom::{
     Aabb, OpticalDepth, TriangleMesh,
@@ -60,7 +59,7 @@ impl<D: Fn(u32) -> OpticalDepth + Sync> Blockers<'_, D> {
     /// Masks of `receivers`: exact, or with `far` from where it begins.
     ///
     /// # Errors
-    /// Those of [`exact::answer_receivers`] and [`coarse::answer_receivers`].
+    /// Those of [`MaskCall::answer`].
     pub(crate) fn answer(
         &self,
         far: Option<&FarCones<'_>>,
@@ -70,20 +69,13 @@ impl<D: Fn(u32) -> OpticalDepth + Sync> Blockers<'_, D> {
         outputs: Outputs<'_>,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<(), MaskError> {
-        let (bvh, best) = (self.bvh, BackEnd::best());
-        match (far, &self.depth_of) {
-            (None, None) => {
-                exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress)
-            }
-            (None, Some(depth_of)) => {
-                exact::transmit(bvh, depth_of, pattern, receivers, options, best, outputs, progress)
-            }
-            (Some(far), None) => {
-                coarse::answer_receivers(bvh, far, pattern, receivers, options, best, outputs, progress)
-            }
-            (Some(far), Some(depth_of)) => {
-                coarse::transmit(bvh, depth_of, far, pattern, receivers, options, best, outputs, progress)
-            }
+        let mut call = MaskCall::new(self.bvh, pattern, receivers, options);
+        if let Some(far) = far {
+            call = call.with_far(far);
+        }
+        match &self.depth_of {
+            None => call.answer(outputs, progress),
+            Some(depth_of) => call.transmit(depth_of, outputs, progress),
         }
     }
 }
@@ -208,7 +200,7 @@ impl FarOpacity {
     /// `false` to cancel.
     ///
     /// # Errors
-    /// Those of [`coarse::answer_receivers`].
+    /// Those of [`MaskCall::answer`].
     pub(crate) fn near<D: Fn(u32) -> OpticalDepth + Sync>(
         &self,
         blockers: &Blockers<'_, D>,
@@ -274,8 +266,7 @@ impl FarOpacity {
     /// # Errors
     /// Those of [`FieldCones::new`].
     pub(crate) fn cones(&self, rays: usize, near: f32, radius: f32) -> Result<FarCones<'_>, MaskError> {
-        let cones =
-            FieldCones::new(&self.field, rays, near, radius, &MarchOptions::default(), BackEnd::best())?;
+        let cones = FieldCones::new(&self.field, rays, near, radius, &MarchOptions::default())?;
         Ok(FarCones { cones, large: &self.large })
     }
 }

@@ -69,7 +69,7 @@ struct InsideVisitor<'a, I> {
     insides: &'a mut I,
 }
 
-impl<I: Insides, S: Statistics> Visitor<S> for InsideVisitor<'_, I> {
+impl<I: InstanceBoxes, S: Statistics> Visitor<S> for InsideVisitor<'_, I> {
     #[inline(always)]
     fn visit<K: Kernel>(
         &mut self,
@@ -85,7 +85,7 @@ impl<I: Insides, S: Statistics> Visitor<S> for InsideVisitor<'_, I> {
     }
 }
 
-impl<I: Insides, S: Statistics> Job for AnyHitAmong<'_, I, S> {
+impl<I: InstanceBoxes, S: Statistics> Job for AnyHitAmong<'_, I, S> {
     type Output = bool;
 
     #[inline(always)]

@@ -3,14 +3,14 @@
 use umbrage_geom::{Aabb, glam::DVec3};
 
 /// Room around planes, relative to the largest coordinate: far more than `f64` can err by, far less than `f32` resolves.
-const ROOM: f64 = 1.0 / (1u64 << 40) as f64;
+const PLANE_MARGIN: f64 = 1.0 / (1u64 << 40) as f64;
 
 /// A box around the part of the triangle in the closed `cell`, never too small; `None` only if the two are apart.
 ///
 /// Sutherland and Hodgman 1974, in `f64`, against planes moved outwards by more than all rounding.
 pub(crate) fn clip(corners: [[f32; 3]; 3], cell: &Aabb) -> Option<Aabb> {
     let bounds = Aabb::from_points(&corners);
-    let room = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()) * ROOM;
+    let room = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()) * PLANE_MARGIN;
     let mut polygon = [DVec3::ZERO; 10];
     let mut len = 3;
     for (to, from) in polygon.iter_mut().zip(corners) {

@@ -11,10 +11,10 @@ mod walk;
 
 pub use cells::{Leaf, Location};
 pub use node::LeafState;
-pub use walk::{Blocker, Cells, KdCounters, KdScratch, KdStatistics, Order, Search, Start};
+pub use walk::{Blocker, Cells, KdScratch, Order, Search, Start};
 
 use crate::{
-    BackEnd, BuildError,
+    BackEnd, BuildError, Statistics,
     bvh::MAX_PRIMS,
     kernel::{self, Job, Kernel},
 };
@@ -137,32 +137,32 @@ impl KdTree {
 
     /// Whether the open segment meets any triangle.
     pub fn any_hit(&self, ray: &Ray) -> bool {
-        self.blocker(ray, Order::RAY, &mut (), &mut KdScratch::default(), &mut ()).any()
+        self.blocker_with(ray, Order::RAY, &mut (), &mut KdScratch::default(), &mut ()).any()
     }
 
     /// What blocks the open segment: a triangle, or an opaque cell that `cells` vouches for. Which of several is not
     /// promised.
-    pub fn blocker(
+    pub fn blocker_with(
         &self,
         ray: &Ray,
         order: Order,
         cells: &mut impl Cells,
         scratch: &mut KdScratch<1>,
-        stats: &mut impl KdStatistics,
+        stats: &mut impl Statistics,
     ) -> Blocker {
-        let [blocker] = self.blockers([ray], order, cells, scratch, stats);
+        let [blocker] = self.blockers_with([ray], order, cells, scratch, stats);
         blocker
     }
 
-    /// [`Self::blocker`] of `N` rays that walk together; four are a packet as in Djeu11, section 3.7.1.
+    /// [`Self::blocker_with`] of `N` rays that walk together; four are a packet as in Djeu11, section 3.7.1.
     #[inline]
-    pub fn blockers<const N: usize>(
+    pub fn blockers_with<const N: usize>(
         &self,
         rays: [&Ray; N],
         order: Order,
         cells: &mut impl Cells,
         scratch: &mut KdScratch<N>,
-        stats: &mut impl KdStatistics,
+        stats: &mut impl Statistics,
     ) -> [Blocker; N] {
         const { assert!(N >= 1 && N <= 32, "lanes are bits of one word") };
         kernel::run(self.back_end, Blockers { tree: self, rays, order, cells, scratch, stats })
@@ -221,7 +221,7 @@ struct Blockers<'a, const N: usize, C, S> {
     stats: &'a mut S,
 }
 
-impl<const N: usize, C: Cells, S: KdStatistics> Job for Blockers<'_, N, C, S> {
+impl<const N: usize, C: Cells, S: Statistics> Job for Blockers<'_, N, C, S> {
     type Output = [Blocker; N];
 
     #[inline(always)]

@@ -7,7 +7,7 @@
 //! clips its interval to both halves of a node on its own, so packets need no common direction.
 
 use super::{KdTree, LeafState, node::Node};
-use crate::kernel::Kernel;
+use crate::{Statistics, kernel::Kernel};
 use umbrage_geom::{
     Ray, SlabRay,
     kernel::{BlockRay, LANES},
@@ -117,58 +117,6 @@ impl Cells for () {
     #[inline(always)]
     fn blocks(&mut self, _: u32, _: usize, _: &SlabRay) -> bool {
         false
-    }
-}
-
-/// Watches traversals. Every method does nothing unless overridden, so that `&mut ()` costs nothing.
-pub trait KdStatistics {
-    /// A node was visited with `active` of the `lanes` of a packet.
-    #[inline(always)]
-    fn step(&mut self, active: u32, lanes: u32, is_leaf: bool) {
-        let _ = (active, lanes, is_leaf);
-    }
-
-    /// A ray was tested against `tests` triangles.
-    #[inline(always)]
-    fn triangles(&mut self, tests: u32) {
-        let _ = tests;
-    }
-}
-
-impl KdStatistics for () {}
-
-/// Totals over traversals.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct KdCounters {
-    /// Nodes visited, by packets or single rays.
-    pub steps: u64,
-    /// Leaves among them.
-    pub leaves: u64,
-    /// Rays that wanted the nodes visited.
-    pub active: u64,
-    /// Rays that wanted the leaves visited.
-    pub active_leaves: u64,
-    /// Rays that could have, in full packets.
-    pub lanes: u64,
-    /// Triangles tested.
-    pub triangle_tests: u64,
-}
-
-impl KdStatistics for KdCounters {
-    #[inline]
-    fn step(&mut self, active: u32, lanes: u32, is_leaf: bool) {
-        self.steps += 1;
-        self.active += u64::from(active);
-        self.lanes += u64::from(lanes);
-        if is_leaf {
-            self.leaves += 1;
-            self.active_leaves += u64::from(active);
-        }
-    }
-
-    #[inline]
-    fn triangles(&mut self, tests: u32) {
-        self.triangle_tests += u64::from(tests);
     }
 }
 
@@ -286,7 +234,7 @@ struct Walk<'a, const N: usize, K, S> {
     solid: u32,
 }
 
-impl<const N: usize, K: Kernel, S: KdStatistics> Walk<'_, N, K, S> {
+impl<const N: usize, K: Kernel, S: Statistics> Walk<'_, N, K, S> {
     /// Tests the triangles of a leaf.
     #[inline(always)]
     fn test(&mut self, node: Node, lanes: u32) {
@@ -370,14 +318,14 @@ impl<const N: usize, K: Kernel, S: KdStatistics> Walk<'_, N, K, S> {
     }
 }
 
-const NEAR: u8 = 0;
-const SOLID: u8 = 1;
-const BREADTH: u8 = 2;
-const QUICK: u8 = 3;
+const SEARCH_NEAR: u8 = 0;
+const SEARCH_SOLID: u8 = 1;
+const SEARCH_BREADTH: u8 = 2;
+const SEARCH_QUICK: u8 = 3;
 
 /// What blocks each ray.
 #[inline(always)]
-pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
+pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: Statistics>(
     kernel: K,
     tree: &KdTree,
     rays: [&Ray; N],
@@ -403,15 +351,15 @@ pub(crate) fn walk<const N: usize, K: Kernel, C: Cells, S: KdStatistics>(
     }
     let order = if walk.solid & walk.alive == 0 { Order::RAY } else { order };
     match order.search {
-        Search::Near => search::<N, NEAR, K, C, S>(walk, root, order, cells, scratch),
-        Search::Solid => search::<N, SOLID, K, C, S>(walk, root, order, cells, scratch),
-        Search::Breadth => search::<N, BREADTH, K, C, S>(walk, root, order, cells, scratch),
-        Search::Quick => search::<N, QUICK, K, C, S>(walk, root, order, cells, scratch),
+        Search::Near => search::<N, SEARCH_NEAR, K, C, S>(walk, root, order, cells, scratch),
+        Search::Solid => search::<N, SEARCH_SOLID, K, C, S>(walk, root, order, cells, scratch),
+        Search::Breadth => search::<N, SEARCH_BREADTH, K, C, S>(walk, root, order, cells, scratch),
+        Search::Quick => search::<N, SEARCH_QUICK, K, C, S>(walk, root, order, cells, scratch),
     }
 }
 
 #[inline(always)]
-fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: KdStatistics>(
+fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: Statistics>(
     mut walk: Walk<N, K, S>,
     mut entry: Entry<N>,
     order: Order,
@@ -427,13 +375,13 @@ fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: KdStatistics
         let lanes = entry.lanes() & walk.alive;
         if lanes != 0 {
             let node = tree.nodes[entry.node as usize];
-            walk.stats.step(lanes.count_ones(), N as u32, node.is_leaf());
+            walk.stats.kd_node(lanes.count_ones(), N as u32, node.is_leaf());
             if node.is_leaf() {
                 walk.leaf(entry.node, lanes, order, cells, deferred);
             } else {
                 let [left, right] = group.children(&entry, node);
                 let (into_left, into_right) = (left.lanes() & lanes, right.lanes() & lanes);
-                if SEARCH == BREADTH {
+                if SEARCH == SEARCH_BREADTH {
                     for (child, into) in [(left, into_left), (right, into_right)] {
                         if into != 0 {
                             push(entries, &mut tail, child);
@@ -448,9 +396,9 @@ fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: KdStatistics
                     continue;
                 } else {
                     let left_first =
-                        if SEARCH == SOLID { !node.right_first() } else { group.forward[node.axis()] };
+                        if SEARCH == SEARCH_SOLID { !node.right_first() } else { group.forward[node.axis()] };
                     let (first, second) = if left_first { (left, right) } else { (right, left) };
-                    if SEARCH == QUICK {
+                    if SEARCH == SEARCH_QUICK {
                         push(entries, &mut tail, first);
                         push(entries, &mut tail, second);
                     } else {
@@ -464,7 +412,7 @@ fn search<const N: usize, const SEARCH: u8, K: Kernel, C: Cells, S: KdStatistics
         if head == tail {
             break;
         }
-        if SEARCH == BREADTH || SEARCH == QUICK {
+        if SEARCH == SEARCH_BREADTH || SEARCH == SEARCH_QUICK {
             entry = entries[head];
             head += 1;
             if head == tail {

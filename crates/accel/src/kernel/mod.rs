@@ -7,7 +7,7 @@ mod x86;
 pub(crate) use scalar::Scalar;
 
 use crate::{
-    node::{MAX_LEVELS, Node, Note, WIDTH},
+    node::{MAX_LEVELS, Node, NodeNote, WIDTH},
     solid::SolidPack,
 };
 #[cfg(target_arch = "x86_64")]
@@ -82,10 +82,10 @@ fn surely(start: f32, end: f32) -> [f32; 2] {
 }
 
 /// What both terms of the covered part of a way are raised by, so that a way of length 0 is covered.
-const RAISE: f32 = 1.0 / (1u128 << 100) as f32;
+const SHORTEST_WAY: f32 = 1.0 / (1u128 << 100) as f32;
 
 /// The share that mark 1 stands for.
-const SHARE: f32 = 1.0 / 255.0;
+const SHARE_OF_MARK_1: f32 = 1.0 / 255.0;
 
 /// How far ahead of a fan something is.
 #[derive(Clone, Copy, Debug)]
@@ -201,7 +201,7 @@ pub(crate) trait Kernel: Copy {
 
     /// How large the children look from the fan's origin: squared radius times the share that is their mark in 255ths, over
     /// squared distance; infinite or not a number where the mark is 0.
-    fn sizes(self, rows: &Rows, note: &Note) -> Sizes;
+    fn sizes(self, rows: &Rows, note: &NodeNote) -> Sizes;
 
     /// Children that look smaller than `limit`, a bit each.
     fn smaller(self, sizes: &Sizes, limit: f32) -> u32;

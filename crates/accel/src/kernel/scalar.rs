@@ -1,8 +1,10 @@
 //! The oracle: plain operations, one child at a time.
 
-use super::{Ahead, Columns, FAN, Fan, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack, surely};
+use super::{
+    Ahead, Columns, FAN, Fan, Kernel, NodeRay, Rows, SHARE_OF_MARK_1, SHORTEST_WAY, Sizes, Stack, surely,
+};
 use crate::{
-    node::{Node, Note, WIDTH},
+    node::{Node, NodeNote, WIDTH},
     solid::SolidPack,
 };
 use umbrage_geom::kernel::{
@@ -139,7 +141,7 @@ impl Kernel for Scalar {
     }
 
     #[inline]
-    fn sizes(self, rows: &Rows, note: &Note) -> Sizes {
+    fn sizes(self, rows: &Rows, note: &NodeNote) -> Sizes {
         let mut sizes = Sizes([0.0; WIDTH]);
         for (i, size) in sizes.0.iter_mut().enumerate() {
             let (mut square, mut distance) = (0.0, 0.0);
@@ -151,7 +153,7 @@ impl Kernel for Scalar {
             *size = if note.marks[i] == 0 {
                 f32::INFINITY
             } else {
-                square * (f32::from(note.marks[i]) * SHARE) / distance
+                square * (f32::from(note.marks[i]) * SHARE_OF_MARK_1) / distance
             };
         }
         sizes
@@ -189,7 +191,7 @@ impl Kernel for Scalar {
             *covered = 0.0;
             if t0 <= t1 && sizes.0[i] < limit {
                 ends |= 1 << i;
-                *covered = ((t1 - t0) + RAISE) / ((exit - entry) + RAISE);
+                *covered = ((t1 - t0) + SHORTEST_WAY) / ((exit - entry) + SHORTEST_WAY);
             } else if t0 <= t1 {
                 columns.0[i] |= 1 << r;
             }

@@ -1,8 +1,10 @@
 //! AVX2: eight children at once. Same operations in the same order as `scalar.rs`, nothing fused, hence the same masks.
 
-use super::{Ahead, Columns, FAN, Fan, Kernel, NodeRay, RAISE, Rows, SHARE, Sizes, Stack, surely};
+use super::{
+    Ahead, Columns, FAN, Fan, Kernel, NodeRay, Rows, SHARE_OF_MARK_1, SHORTEST_WAY, Sizes, Stack, surely,
+};
 use crate::{
-    node::{Node, Note, WIDTH},
+    node::{Node, NodeNote, WIDTH},
     solid::SolidPack,
 };
 use std::arch::x86_64::*;
@@ -178,7 +180,7 @@ fn columns(rows: &Rows, fan: &Fan, mut left: u32) -> __m256i {
 
 #[inline]
 #[target_feature(enable = "avx2")]
-fn sizes(rows: &Rows, note: &Note) -> Sizes {
+fn sizes(rows: &Rows, note: &NodeNote) -> Sizes {
     let (mut square, mut distance) = (_mm256_setzero_ps(), _mm256_setzero_ps());
     for axis in 0..3 {
         let (low, high) = (load(&rows.0[2 * axis]), load(&rows.0[2 * axis + 1]));
@@ -190,7 +192,7 @@ fn sizes(rows: &Rows, note: &Note) -> Sizes {
     // SAFETY: there are eight marks; sizes are eight aligned floats.
     unsafe {
         let marks = _mm256_cvtepu8_epi32(_mm_loadl_epi64(note.marks.as_ptr().cast()));
-        let share = _mm256_mul_ps(_mm256_cvtepi32_ps(marks), _mm256_set1_ps(SHARE));
+        let share = _mm256_mul_ps(_mm256_cvtepi32_ps(marks), _mm256_set1_ps(SHARE_OF_MARK_1));
         let never = _mm256_castsi256_ps(_mm256_cmpeq_epi32(marks, _mm256_setzero_si256()));
         let seen = _mm256_div_ps(_mm256_mul_ps(square, share), distance);
         let seen = _mm256_blendv_ps(seen, _mm256_set1_ps(f32::INFINITY), never);
@@ -225,7 +227,7 @@ fn enter_or_end(
         let stops = _mm256_and_ps(hit, fits);
         let ends = _mm256_movemask_ps(stops) as u32;
         if ends != 0 {
-            let raise = _mm256_set1_ps(RAISE);
+            let raise = _mm256_set1_ps(SHORTEST_WAY);
             let inside = _mm256_add_ps(_mm256_sub_ps(t1, t0), raise);
             let way = _mm256_add_ps(_mm256_sub_ps(exit, entry), raise);
             _mm256_storeu_ps(covered.as_mut_ptr(), _mm256_and_ps(stops, _mm256_div_ps(inside, way)));
@@ -430,7 +432,7 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn sizes(self, rows: &Rows, note: &Note) -> Sizes {
+    fn sizes(self, rows: &Rows, note: &NodeNote) -> Sizes {
         // SAFETY: `self` proves the target features.
         unsafe { sizes(rows, note) }
     }

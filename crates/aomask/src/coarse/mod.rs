@@ -6,14 +6,8 @@
 pub mod field;
 mod voxelize;
 
-use crate::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
-    drive::{self, Engine},
-    exact::{Masks, Veils, Walks},
-    gather::Answers,
-};
-use umbrage_accel::Bvh;
-use umbrage_geom::{OpticalDepth, Ray, glam::Vec3};
+use crate::{MaskOptions, Pattern, Receiver, drive::Engine, exact::Walks, gather::Answers};
+use umbrage_geom::{Ray, glam::Vec3};
 
 /// Bundles of rays of one receiver.
 #[derive(Clone, Debug, Default)]
@@ -53,73 +47,6 @@ pub trait FarField: Sync {
     fn transmittances(&self, cones: &Cones, passed: &mut [f32]);
 }
 
-/// Ambient occlusion of `receivers` among opaque triangles: rays that nothing blocks up to [`FarField::near`] (exactly, among the triangles of `bvh`) are
-/// answered by `far` from there on. `ao`, bent normals and sectors are means over the rays of what passes; masks have the
-/// rays that nothing passes.
-///
-/// # Errors
-/// As for [`crate::exact::answer_receivers`]; [`MaskError::Radius`] unless [`FarField::near`] is more than 0;
-/// [`MaskError::Unsupported`] for distances and for sides other than both.
-#[allow(clippy::too_many_arguments)] // what there is to say
-pub fn answer_receivers(
-    bvh: &Bvh,
-    far: &impl FarField,
-    pattern: &Pattern,
-    receivers: &[Receiver],
-    options: &MaskOptions,
-    back_end: BackEnd,
-    outputs: Outputs<'_>,
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), MaskError> {
-    let near = near_masks(bvh, far, pattern, options, back_end, &outputs)?;
-    let bundles = Bundles::new(pattern, far.bundle());
-    let engine = Coarse { near, dims: false, pattern, radius: options.radius, far, bundles };
-    drive::run(&engine, pattern, options, receivers, outputs, progress)
-}
-
-/// [`answer_receivers`] among semi-transparent triangles: up to [`FarField::near`] a ray passes what [`crate::exact::transmit`]
-/// says of `depth_of(index of the triangle)`, and of that what `far` lets pass from there on.
-///
-/// # Errors
-/// As for [`answer_receivers`].
-#[allow(clippy::too_many_arguments)] // what there is to say
-pub fn transmit(
-    bvh: &Bvh,
-    depth_of: impl Fn(u32) -> OpticalDepth + Sync,
-    far: &impl FarField,
-    pattern: &Pattern,
-    receivers: &[Receiver],
-    options: &MaskOptions,
-    back_end: BackEnd,
-    outputs: Outputs<'_>,
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), MaskError> {
-    let near = Veils::new(near_masks(bvh, far, pattern, options, back_end, &outputs)?, depth_of);
-    let bundles = Bundles::new(pattern, far.bundle());
-    let engine = Coarse { near, dims: true, pattern, radius: options.radius, far, bundles };
-    drive::run(&engine, pattern, options, receivers, outputs, progress)
-}
-
-/// Masks up to where the far field begins, for calls that it can answer.
-fn near_masks<'a>(
-    bvh: &'a Bvh,
-    far: &impl FarField,
-    pattern: &'a Pattern,
-    options: &'a MaskOptions,
-    back_end: BackEnd,
-    outputs: &Outputs<'_>,
-) -> Result<Masks<'a>, MaskError> {
-    let near = far.near();
-    if near.is_nan() || near <= 0.0 {
-        return Err(MaskError::Radius(near));
-    }
-    if options.sides != Sides::Both {
-        return Err(MaskError::Unsupported("sides of far triangles"));
-    }
-    outputs.validate_for_tables()?;
-    Masks::new(bvh, pattern, options, near, back_end, outputs)
-}
-
 /// Rays of a pattern and the runs of neighbours that share a cone.
 struct Bundles {
     /// Rays of each, a power of two.
@@ -145,7 +72,7 @@ impl Bundles {
     }
 }
 
-struct Coarse<'a, N, F> {
+pub(crate) struct Coarse<'a, N> {
     /// Exact answers up to the far field.
     near: N,
     /// Whether `near` writes what passes along each ray, beside masks.
@@ -153,12 +80,12 @@ struct Coarse<'a, N, F> {
     pattern: &'a Pattern,
     /// World units.
     radius: f32,
-    far: &'a F,
+    far: &'a dyn FarField,
     bundles: Bundles,
 }
 
 /// What a thread keeps.
-struct Scratch {
+pub(crate) struct Scratch {
     walks: Walks,
     cones: Cones,
     /// Numbers of the cones' bundles.
@@ -169,7 +96,7 @@ struct Scratch {
     passed: Vec<f32>,
 }
 
-impl<N: Engine<Scratch = Walks>, F: FarField> Engine for Coarse<'_, N, F> {
+impl<N: Engine<Scratch = Walks>> Engine for Coarse<'_, N> {
     type Scratch = Scratch;
 
     fn scratch(&self) -> Scratch {
@@ -201,7 +128,19 @@ impl<N: Engine<Scratch = Walks>, F: FarField> Engine for Coarse<'_, N, F> {
     }
 }
 
-impl<N, F: FarField> Coarse<'_, N, F> {
+impl<'a, N> Coarse<'a, N> {
+    /// `near` answers up to [`FarField::near`]; `dims` if it writes what passes along each ray, beside masks.
+    pub(crate) fn new(
+        near: N,
+        dims: bool,
+        pattern: &'a Pattern,
+        options: &MaskOptions,
+        far: &'a dyn FarField,
+    ) -> Self {
+        let bundles = Bundles::new(pattern, far.bundle());
+        Self { near, dims, pattern, radius: options.radius, far, bundles }
+    }
+
     /// Collects the cones of bundles that have a ray which `mask` leaves open: each along one of these. Rays that end before
     /// the far field have their answers.
     fn open(&self, receiver: &Receiver, mask: &[u64], scratch: &mut Scratch) {

@@ -9,27 +9,27 @@ use crate::{MaskError, Outputs, Pattern, PatternOptions, Receiver};
 use umbrage_geom::{morton, sampling::combine};
 
 /// Share of the target that the expected error is to have: what is left is for the error of the estimate.
-const AIM: f64 = 0.8;
+const EXPECTED_SHARE: f64 = 0.8;
 
 /// Numbers of rays to choose from.
-const LEVELS: [u32; 15] = [8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 640, 768, 1024];
+const RAY_COUNTS: [u32; 15] = [8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 640, 768, 1024];
 
 /// Levels whose error is measured; those between are interpolated in logarithms.
-const MEASURED: [usize; 5] = [0, 3, 7, 11, 14];
+const MEASURED_COUNTS: [usize; 5] = [0, 3, 7, 11, 14];
 
 /// Neighbours, in Morton order, that share a class.
-const POOL: usize = 8;
+const POOL_RECEIVERS: usize = 8;
 
 /// Pilot receivers: one in so many, within the bounds below.
 const PILOT_STRIDE: usize = 16;
-const FEWEST_PILOTS: usize = 256;
-const MOST_PILOTS: usize = 2048;
+const MIN_PILOTS: usize = 256;
+const MAX_PILOTS: usize = 2048;
 
 /// Classes of neighbourhoods whose cheap answers differ, beside the one where they don't.
 const CLASSES: usize = 5;
 
 /// Where measured errors may stop: at this share of the squared error to reach. Beyond, curves go on as they fell before.
-const ENOUGH: f64 = 1.0;
+const MEASURED_ERROR_SHARE: f64 = 1.0;
 
 /// Seeds of the answers that choose classes, and of those that measure errors.
 const SALTS: [u32; 4] = [0x636c_6131, 0x636c_6132, 0x6572_7231, 0x6572_7232];
@@ -64,7 +64,7 @@ impl Spent {
 
 /// How many rays receivers of each class get.
 #[derive(Clone, Debug, PartialEq)]
-struct Plan {
+struct RayPlan {
     /// Smallest squared difference of each class but the first.
     bounds: Vec<f64>,
     /// By class.
@@ -73,7 +73,7 @@ struct Plan {
     squared_error: f64,
 }
 
-impl Plan {
+impl RayPlan {
     fn class(&self, difference: f64) -> usize {
         self.bounds.partition_point(|&bound| bound <= difference)
     }
@@ -102,7 +102,7 @@ impl Adaptive {
     pub fn new(options: &PatternOptions) -> Result<Self, MaskError> {
         let most = Pattern::new(options)?;
         most.check_masks()?;
-        let fewer = LEVELS.into_iter().filter(|&rays| rays < options.rays);
+        let fewer = RAY_COUNTS.into_iter().filter(|&rays| rays < options.rays);
         let mut levels = fewer
             .map(|rays| Pattern::new(&options.clone().with_rays(rays)))
             .collect::<Result<Vec<_>, _>>()?;
@@ -135,10 +135,10 @@ impl Adaptive {
         let places: Vec<[f32; 3]> = receivers.iter().map(|receiver| receiver.point().to_array()).collect();
         let order: Vec<usize> = morton::order(&places).into_iter().map(|i| i as usize).collect();
         let mut run = Run { adaptive: self, receivers, ask, progress, spent: Spent::default() };
-        let wanted = (AIM * f64::from(target_error)).powi(2);
+        let wanted = (EXPECTED_SHARE * f64::from(target_error)).powi(2);
         let plan = run.plan(&order, wanted)?;
         let levels = run.levels(&order, &plan)?;
-        let mut found = Room::new(&outputs, receivers.len());
+        let mut found = OutputBuffers::new(&outputs, receivers.len());
         let total: u64 = levels.iter().map(|&level| self.levels[level].len() as u64).sum();
         let (mut done, before) = (0, if plan.is_uniform() { 0.1 } else { 0.3 });
         for (number, pattern) in self.levels.iter().enumerate() {
@@ -155,7 +155,7 @@ impl Adaptive {
                 let all = before + (1.0 - before) * (from + fraction * share);
                 progress(if last && fraction == 1.0 { 1.0 } else { all.min(1.0f32.next_down()) })
             };
-            let mut room = Room::new(&outputs, asked.len());
+            let mut room = OutputBuffers::new(&outputs, asked.len());
             ask(pattern, &asked, room.outputs(), &mut part)?;
             mine.iter().enumerate().for_each(|(from, &to)| found.take(to, &room, from));
             run.spent.receivers.push((pattern.len() as u32, mine.len() as u64));
@@ -198,25 +198,26 @@ impl Run<'_, '_> {
     /// By pool of `which`, the mean squared error of the smallest number of rays.
     fn differences(&mut self, which: &[usize]) -> Result<Vec<f64>, MaskError> {
         let squares = self.squared_errors(which, 0, [SALTS[0], SALTS[1]])?;
-        Ok(squares.chunks(POOL).map(|pool| pool.iter().sum::<f64>() / pool.len() as f64).collect())
+        Ok(squares.chunks(POOL_RECEIVERS).map(|pool| pool.iter().sum::<f64>() / pool.len() as f64).collect())
     }
 
     /// Finds the numbers of rays by pilot receivers.
-    fn plan(&mut self, order: &[usize], wanted: f64) -> Result<Plan, MaskError> {
-        let pools = order.len().div_ceil(POOL);
-        let pilots = (order.len() / PILOT_STRIDE).clamp(FEWEST_PILOTS, MOST_PILOTS);
-        let chosen = (pilots / POOL).min(pools);
-        let pool = |i: usize| order.chunks(POOL).nth(i * pools / chosen.max(1)).unwrap_or(&[]);
+    fn plan(&mut self, order: &[usize], wanted: f64) -> Result<RayPlan, MaskError> {
+        let pools = order.len().div_ceil(POOL_RECEIVERS);
+        let pilots = (order.len() / PILOT_STRIDE).clamp(MIN_PILOTS, MAX_PILOTS);
+        let chosen = (pilots / POOL_RECEIVERS).min(pools);
+        let pool = |i: usize| order.chunks(POOL_RECEIVERS).nth(i * pools / chosen.max(1)).unwrap_or(&[]);
         let pilots: Vec<usize> = (0..chosen).flat_map(pool).copied().collect();
         // Pools of a slice that starts anywhere are whole, but for the last.
         let differences = self.differences(&pilots)?;
         let bounds = bounds(&differences);
-        let mut plan = Plan { bounds, levels: Vec::new(), squared_error: 0.0 };
-        let classes: Vec<usize> = (0..pilots.len()).map(|i| plan.class(differences[i / POOL])).collect();
+        let mut plan = RayPlan { bounds, levels: Vec::new(), squared_error: 0.0 };
+        let classes: Vec<usize> =
+            (0..pilots.len()).map(|i| plan.class(differences[i / POOL_RECEIVERS])).collect();
         let count = plan.bounds.len() + 1;
         let shares = sums(&classes, &vec![1.0 / pilots.len() as f64; pilots.len()], count);
         let levels = self.adaptive.levels.len();
-        let measured = MEASURED.into_iter().filter(|&level| level + 1 < levels).chain([levels - 1]);
+        let measured = MEASURED_COUNTS.into_iter().filter(|&level| level + 1 < levels).chain([levels - 1]);
         // Share of the class times its squared error, by level.
         let mut curves: Vec<(usize, Vec<f64>)> = Vec::new();
         for level in measured {
@@ -225,7 +226,7 @@ impl Run<'_, '_> {
             let sums: Vec<f64> = sums.collect();
             let total: f64 = sums.iter().sum();
             curves.push((level, sums));
-            if total < ENOUGH * wanted {
+            if total < MEASURED_ERROR_SHARE * wanted {
                 break;
             }
         }
@@ -244,12 +245,12 @@ impl Run<'_, '_> {
     }
 
     /// The level of each receiver.
-    fn levels(&mut self, order: &[usize], plan: &Plan) -> Result<Vec<usize>, MaskError> {
+    fn levels(&mut self, order: &[usize], plan: &RayPlan) -> Result<Vec<usize>, MaskError> {
         if plan.is_uniform() {
             return Ok(vec![plan.levels[0]; order.len()]);
         }
         let mut levels = vec![0; order.len()];
-        for (pool, difference) in order.chunks(POOL).zip(self.differences(order)?) {
+        for (pool, difference) in order.chunks(POOL_RECEIVERS).zip(self.differences(order)?) {
             pool.iter().for_each(|&i| levels[i] = plan.levels[plan.class(difference)]);
         }
         Ok(levels)
@@ -323,7 +324,7 @@ fn choose(errors: &[Vec<f64>], shares: &[f64], rays: &[f64], wanted: f64) -> Vec
 }
 
 /// Answers on their way to the caller's outputs.
-struct Room {
+struct OutputBuffers {
     ao: Vec<f32>,
     bent_normals: Option<Vec<[f32; 3]>>,
     free_directions: Option<Vec<[f32; 3]>>,
@@ -331,7 +332,7 @@ struct Room {
     hit_distances: Option<Vec<f32>>,
 }
 
-impl Room {
+impl OutputBuffers {
     /// As `outputs` want it.
     fn new(outputs: &Outputs<'_>, count: usize) -> Self {
         let sectors = outputs.sectors.as_ref().map(|&(n, _)| (n, vec![0.0; count * n as usize]));

@@ -22,62 +22,81 @@ use umbrage_geom::{OpticalDepth, Ray, glam::Vec3};
 pub const MAX_FAN: usize = 1024;
 
 /// Cosine of the half-angle below which a fan is narrow: 45 degrees.
-const NARROW: f32 = 0.7;
+const NARROW_FAN_COSINE: f32 = 0.7;
 
 /// Rays that a thread takes at a time, at least.
 const BLOCK: usize = 1 << 12;
 
-/// Which rays are blocked: `hits[i]` tells of `rays[i]`, exactly as rays cast one by one. Every `per_fan` rays in turn share an
-/// origin. Rays that are not [valid](Ray::is_valid) hit nothing.
-///
-/// # Errors
-/// [`MaskError::Fan`], [`MaskError::FanOrigin`], [`MaskError::Answers`], [`MaskError::BackEnd`]. `hits` is as it was then.
-pub fn any_hits(
-    bvh: &Bvh,
-    rays: &[Ray],
+/// Rays in fans that ask together.
+#[derive(Clone, Copy)]
+#[must_use = "nothing is answered before `any_hits` or `transmittances`"]
+pub struct FanCall<'a> {
+    bvh: &'a Bvh,
+    rays: &'a [Ray],
     per_fan: usize,
     sides: Sides,
     back_end: BackEnd,
-    hits: &mut [bool],
-) -> Result<(), MaskError> {
-    check(rays, per_fan, back_end, hits.len())?;
-    let job = |walks: &mut Box<[Walk]>, (rays, hits): (&[Ray], &mut [bool])| {
-        if sides == Sides::Both && is_narrow(&rays[..per_fan]) {
-            return bvh.any_hits_with(rays, hits, &mut ());
-        }
-        kernel::run(back_end, AnyHits { bvh, rays, per_fan, sides, hits, walks });
-    };
-    in_blocks(rays, per_fan, hits, job);
-    Ok(())
 }
 
-/// What all triangles hit by each ray let through: the sum of `depth_of(index of the triangle)`, each triangle once,
-/// [`OpticalDepth::OPAQUE`] as soon as nothing gets through. Rays as for [`any_hits`].
-///
-/// # Errors
-/// As for [`any_hits`]; [`MaskError::Unsupported`] for [`Sides::FrontFirst`].
-pub fn transmittances(
-    bvh: &Bvh,
-    rays: &[Ray],
-    per_fan: usize,
-    sides: Sides,
-    depth_of: impl Fn(u32) -> OpticalDepth + Sync,
-    back_end: BackEnd,
-    sums: &mut [OpticalDepth],
-) -> Result<(), MaskError> {
-    check(rays, per_fan, back_end, sums.len())?;
-    if sides == Sides::FrontFirst {
-        return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
+impl<'a> FanCall<'a> {
+    /// Every `per_fan` of `rays` in turn share an origin. Rays that are not [valid](Ray::is_valid) hit nothing. Both sides of the
+    /// triangles of `bvh` block, on [`BackEnd::best`].
+    pub fn new(bvh: &'a Bvh, rays: &'a [Ray], per_fan: usize) -> Self {
+        Self { bvh, rays, per_fan, sides: Sides::Both, back_end: BackEnd::best() }
     }
-    let depth_of = &depth_of;
-    let job = |walks: &mut Box<[Walk]>, (rays, sums): (&[Ray], &mut [OpticalDepth])| {
-        if sides == Sides::Both && is_narrow(&rays[..per_fan]) {
-            return bvh.transmittances_with(rays, depth_of, sums, &mut ());
+
+    /// Sets which sides of triangles block.
+    pub fn with_sides(self, sides: Sides) -> Self {
+        Self { sides, ..self }
+    }
+
+    /// Runs on another back end. Answers are the same.
+    pub fn with_back_end(self, back_end: BackEnd) -> Self {
+        Self { back_end, ..self }
+    }
+
+    /// Which rays are blocked: `hits[i]` tells of ray `i`, exactly as rays cast one by one.
+    ///
+    /// # Errors
+    /// [`MaskError::Fan`], [`MaskError::FanOrigin`], [`MaskError::Answers`], [`MaskError::BackEnd`]. `hits` is as it was then.
+    pub fn any_hits(self, hits: &mut [bool]) -> Result<(), MaskError> {
+        let Self { bvh, rays, per_fan, sides, back_end } = self;
+        check(rays, per_fan, back_end, hits.len())?;
+        let job = |walks: &mut Box<[Walk]>, (rays, hits): (&[Ray], &mut [bool])| {
+            if sides == Sides::Both && is_narrow(&rays[..per_fan]) {
+                return bvh.any_hits_with(rays, hits, &mut ());
+            }
+            kernel::run(back_end, AnyHits { bvh, rays, per_fan, sides, hits, walks });
+        };
+        in_blocks(rays, per_fan, hits, job);
+        Ok(())
+    }
+
+    /// What all triangles hit by each ray let through: the sum of `depth_of(index of the triangle)`, each triangle once,
+    /// [`OpticalDepth::OPAQUE`] as soon as nothing gets through.
+    ///
+    /// # Errors
+    /// As for [`Self::any_hits`]; [`MaskError::Unsupported`] for [`Sides::FrontFirst`].
+    pub fn transmittances(
+        self,
+        depth_of: impl Fn(u32) -> OpticalDepth + Sync,
+        sums: &mut [OpticalDepth],
+    ) -> Result<(), MaskError> {
+        let Self { bvh, rays, per_fan, sides, back_end } = self;
+        check(rays, per_fan, back_end, sums.len())?;
+        if sides == Sides::FrontFirst {
+            return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
         }
-        kernel::run(back_end, Transmittances { bvh, rays, per_fan, sides, depth_of, sums, walks });
-    };
-    in_blocks(rays, per_fan, sums, job);
-    Ok(())
+        let depth_of = &depth_of;
+        let job = |walks: &mut Box<[Walk]>, (rays, sums): (&[Ray], &mut [OpticalDepth])| {
+            if sides == Sides::Both && is_narrow(&rays[..per_fan]) {
+                return bvh.transmittances_with(rays, depth_of, sums, &mut ());
+            }
+            kernel::run(back_end, Transmittances { bvh, rays, per_fan, sides, depth_of, sums, walks });
+        };
+        in_blocks(rays, per_fan, sums, job);
+        Ok(())
+    }
 }
 
 fn check(rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: usize) -> Result<(), MaskError> {
@@ -100,7 +119,7 @@ fn check(rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: usize) -> Res
 
 /// Whether a fan is so narrow that the hierarchy's own batches answer it, and those after it, sooner (`docs/aomask-exact.md`).
 fn is_narrow(fan: &[Ray]) -> bool {
-    hull(fan).angle[0] > NARROW
+    hull(fan).angle[0] > NARROW_FAN_COSINE
 }
 
 /// Calls `job` with blocks of whole fans, on all threads of the caller's pool.

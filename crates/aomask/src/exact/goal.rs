@@ -2,7 +2,7 @@
 
 use super::{
     rays::GROUP,
-    walk::{Goal, Ground},
+    walk::{Goal, GoalContext},
 };
 use crate::Sides;
 use std::ops::ControlFlow;
@@ -46,7 +46,7 @@ impl Goal for Blocked {
     const SHRINKS: bool = false;
 
     #[inline(always)]
-    fn lanes(&mut self, ground: &mut Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool {
+    fn lanes(&mut self, ground: &mut GoalContext<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool {
         // The side on which the origin lies may be uncertain.
         let (certain, mut open) = match self.sides {
             Sides::Both => (mask.certain, mask.uncertain),
@@ -62,7 +62,14 @@ impl Goal for Blocked {
     }
 
     #[inline(always)]
-    fn rays(&mut self, ground: &mut Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8 {
+    fn rays(
+        &mut self,
+        ground: &mut GoalContext<'_>,
+        leaf: u32,
+        lane: usize,
+        group: usize,
+        mask: BlockMask,
+    ) -> u8 {
         let (mut hit, mut open) = (mask.certain, mask.uncertain);
         if self.sides != Sides::Both && hit != 0 {
             // One certain hit tells the side for all.
@@ -105,7 +112,7 @@ pub(crate) struct Dimmed<'a, F> {
 impl<F: Fn(u32) -> OpticalDepth> Dimmed<'_, F> {
     /// Adds what the triangle in `lane` blocks of ray number `ray`, if it is hit. Whether nothing gets through any more.
     #[inline(always)]
-    fn add(&mut self, ground: &Ground<'_>, leaf: u32, lane: usize, ray: usize, certain: bool) -> bool {
+    fn add(&mut self, ground: &GoalContext<'_>, leaf: u32, lane: usize, ray: usize, certain: bool) -> bool {
         let certain = certain && self.sides == Sides::Both;
         let corners = ground.block(leaf).get(lane);
         let hit = certain || hits(&ground.rays.ray(ray, ground.origin), corners, self.sides);
@@ -121,7 +128,7 @@ impl<F: Fn(u32) -> OpticalDepth> Goal for Dimmed<'_, F> {
     const SHRINKS: bool = false;
 
     #[inline(always)]
-    fn lanes(&mut self, ground: &mut Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool {
+    fn lanes(&mut self, ground: &mut GoalContext<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool {
         let mut open = mask.certain | mask.uncertain;
         let mut opaque = false;
         while open != 0 {
@@ -133,7 +140,14 @@ impl<F: Fn(u32) -> OpticalDepth> Goal for Dimmed<'_, F> {
     }
 
     #[inline(always)]
-    fn rays(&mut self, ground: &mut Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8 {
+    fn rays(
+        &mut self,
+        ground: &mut GoalContext<'_>,
+        leaf: u32,
+        lane: usize,
+        group: usize,
+        mask: BlockMask,
+    ) -> u8 {
         let (mut open, mut done) = (mask.certain | mask.uncertain, 0);
         while open != 0 {
             let i = open.trailing_zeros() as usize;
@@ -201,7 +215,7 @@ impl Nearest<'_> {
         nearer
     }
 
-    fn test(&mut self, ground: &mut Ground<'_>, leaf: u32, lane: usize, ray: usize) {
+    fn test(&mut self, ground: &mut GoalContext<'_>, leaf: u32, lane: usize, ray: usize) {
         let hit = intersect_triangle(&ground.rays.ray(ray, ground.origin), ground.block(leaf).get(lane));
         let prim = ground.bvh.view().prims(leaf)[lane];
         if let Some(hit) = hit.filter(|&hit| self.meet(ground.item + ray, prim, hit)) {
@@ -214,7 +228,7 @@ impl Goal for Nearest<'_> {
     const SHRINKS: bool = true;
 
     #[inline(always)]
-    fn lanes(&mut self, ground: &mut Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool {
+    fn lanes(&mut self, ground: &mut GoalContext<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool {
         let mut open = mask.certain | mask.uncertain;
         while open != 0 {
             self.test(ground, leaf, open.trailing_zeros() as usize % LANES, ray);
@@ -224,7 +238,14 @@ impl Goal for Nearest<'_> {
     }
 
     #[inline(always)]
-    fn rays(&mut self, ground: &mut Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8 {
+    fn rays(
+        &mut self,
+        ground: &mut GoalContext<'_>,
+        leaf: u32,
+        lane: usize,
+        group: usize,
+        mask: BlockMask,
+    ) -> u8 {
         let mut open = mask.certain | mask.uncertain;
         while open != 0 {
             self.test(ground, leaf, lane, group * GROUP + open.trailing_zeros() as usize);

@@ -1,6 +1,6 @@
 //! Method `mask`: the rays of a receiver walk the hierarchy together and get the bits of rays cast one by one.
 //!
-//! Here: the call that answers receivers, walks that take turns. Not here: the walk (`walk.rs`), its tests (`kernel`), rays
+//! Here: blocks of receivers, walks that take turns. Not here: the call ([`crate::MaskCall`]), the walk (`walk.rs`), its tests (`kernel`), rays
 //! (`rays.rs`).
 //!
 //! Exact: ray `i` of a receiver is blocked if and only if [`umbrage_geom::segment_hits_triangle`] holds for the ray of
@@ -14,9 +14,7 @@ pub(crate) mod rays;
 mod walk;
 
 use crate::{
-    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides,
-    drive::{self, Engine},
-    gather::Answers,
+    BackEnd, MaskError, MaskOptions, Outputs, Pattern, Receiver, Sides, drive::Engine, gather::Answers,
 };
 use goal::{Blocked, Dimmed, Hit, Nearest};
 use kernel::{Hull, Job, Kernel};
@@ -27,70 +25,6 @@ use walk::{Goal, Walk};
 
 /// Walks that take turns, so that one works while others wait for memory.
 const TURNS: usize = 8;
-
-/// Ambient occlusion of receivers at `points` (world units, see [`Receiver::new`]) that look along `normals` among the
-/// triangles of `bvh`. Results depend on the arguments only, not on threads or `back_end`. `progress` gets growing fractions
-/// that end at exactly 1, from any thread, and returns `false` to cancel.
-///
-/// # Errors
-/// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Sectors`],
-/// [`MaskError::Point`], [`MaskError::Normal`], [`MaskError::BackEnd`], [`MaskError::Cancelled`]. The outputs are as they
-/// were then.
-#[allow(clippy::too_many_arguments)] // what there is to say
-pub fn answer(
-    bvh: &Bvh,
-    pattern: &Pattern,
-    points: &[[f32; 3]],
-    normals: &[[f32; 3]],
-    options: &MaskOptions,
-    back_end: BackEnd,
-    outputs: Outputs<'_>,
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), MaskError> {
-    let receivers = drive::receivers(points, normals, options.seed)?;
-    answer_receivers(bvh, pattern, &receivers, options, back_end, outputs, progress)
-}
-
-/// [`answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
-///
-/// # Errors
-/// As for [`answer`], but for points and normals.
-pub fn answer_receivers(
-    bvh: &Bvh,
-    pattern: &Pattern,
-    receivers: &[Receiver],
-    options: &MaskOptions,
-    back_end: BackEnd,
-    outputs: Outputs<'_>,
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), MaskError> {
-    let engine = Masks::new(bvh, pattern, options, f32::INFINITY, back_end, &outputs)?;
-    drive::run(&engine, pattern, options, receivers, outputs, progress)
-}
-
-/// [`answer_receivers`] among semi-transparent triangles: a ray passes the product of what all triangles that it hits let
-/// through, each counted once, `depth_of(index of the triangle)`. `ao`, bent normals and sectors are means over the rays of
-/// what passes; masks have the rays that nothing passes; distances are those of the nearest hits, however transparent.
-///
-/// # Errors
-/// As for [`answer_receivers`]; [`MaskError::Unsupported`] for [`Sides::FrontFirst`].
-#[allow(clippy::too_many_arguments)] // what there is to say
-pub fn transmit(
-    bvh: &Bvh,
-    depth_of: impl Fn(u32) -> OpticalDepth + Sync,
-    pattern: &Pattern,
-    receivers: &[Receiver],
-    options: &MaskOptions,
-    back_end: BackEnd,
-    outputs: Outputs<'_>,
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<(), MaskError> {
-    if options.sides == Sides::FrontFirst {
-        return Err(MaskError::Unsupported("fronts before any back among semi-transparent triangles"));
-    }
-    let masks = Masks::new(bvh, pattern, options, f32::INFINITY, back_end, &outputs)?;
-    drive::run(&Veils::new(masks, depth_of), pattern, options, receivers, outputs, progress)
-}
 
 /// What a thread keeps.
 pub(crate) type Walks = Box<[Walk]>;
@@ -168,19 +102,19 @@ impl Engine for Masks<'_> {
 }
 
 /// [`Masks`] among semi-transparent triangles.
-pub(crate) struct Veils<'a, F> {
+pub(crate) struct DimmedMasks<'a, F> {
     masks: Masks<'a>,
     depth_of: F,
 }
 
-impl<'a, F: Fn(u32) -> OpticalDepth + Sync> Veils<'a, F> {
+impl<'a, F: Fn(u32) -> OpticalDepth + Sync> DimmedMasks<'a, F> {
     /// Not for [`Sides::FrontFirst`]. `depth_of` tells what a crossing of the triangle with an index adds.
     pub(crate) fn new(masks: Masks<'a>, depth_of: F) -> Self {
         Self { masks, depth_of }
     }
 }
 
-impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for Veils<'_, F> {
+impl<F: Fn(u32) -> OpticalDepth + Sync> Engine for DimmedMasks<'_, F> {
     type Scratch = Walks;
 
     fn scratch(&self) -> Walks {

@@ -3,7 +3,7 @@
 //! Here: the prepared rays and how a pattern's rays get there. Directions are scaled by a power of two so that the sizes of
 //! their components add up to about 1/2 to 1, as [`umbrage_geom::kernel::fan`] wants it.
 
-use super::walk::FEW;
+use super::walk::MAX_GROUPS_OF_SINGLE_RAYS;
 use crate::Pattern;
 use umbrage_geom::{
     Frame, Ray,
@@ -21,16 +21,16 @@ pub(crate) const GROUPS: usize = 32;
 pub(crate) const RAYS: usize = GROUP * GROUPS;
 
 /// More than rounding, and a frame's lack of orthogonality, move a unit vector by.
-const SLACK: f32 = 4e-6;
+const UNIT_VECTOR_ERROR: f32 = 4e-6;
 
 /// Chord from which a cone is no longer told from a half-space: about 83 degrees.
-const WIDE: f32 = 1.33;
+const HALF_SPACE_CHORD: f32 = 1.33;
 
 /// Components of unit vectors as small as this have no use for a group: their reciprocals say too little.
-const STEEP: f32 = 1e-4;
+const MIN_UNIT_COMPONENT: f32 = 1e-4;
 
 /// Smallest component of a scaled direction, but 0, whose reciprocal is safe: `2^-79`.
-const SMALLEST: f32 = 1.0 / (1u128 << 79) as f32;
+const MIN_SCALED_COMPONENT: f32 = 1.0 / (1u128 << 79) as f32;
 
 /// Prepared rays, all from the same point; `tnear` is 0.
 #[derive(Clone, Debug)]
@@ -125,14 +125,14 @@ impl RaySet {
                 }
             }
         }
-        least.into_iter().any(|x| x < SMALLEST)
+        least.into_iter().any(|x| x < MIN_SCALED_COMPONENT)
     }
 
     /// Closes rays that can't walk.
     #[cold]
     fn close_small(&mut self) {
         for i in 0..self.groups * GROUP {
-            let small = self.direction.iter().any(|row| row[i] != 0.0 && row[i].abs() < SMALLEST);
+            let small = self.direction.iter().any(|row| row[i] != 0.0 && row[i].abs() < MIN_SCALED_COMPONENT);
             self.closed[i / GROUP] |= u8::from(small) << (i % GROUP);
         }
     }
@@ -165,7 +165,7 @@ impl RaySet {
             self.close_small();
         }
         // The cones of few groups aren't asked about.
-        if self.groups > FEW as usize {
+        if self.groups > MAX_GROUPS_OF_SINGLE_RAYS as usize {
             for (g, group) in rays.chunks(GROUP).enumerate() {
                 let closed = self.closed[g];
                 let open = group.iter().enumerate().filter(|&(i, _)| closed >> i & 1 == 0);
@@ -182,7 +182,7 @@ impl RaySet {
             let [low, high] = &mut self.ends[axis];
             for g in 0..GROUPS {
                 let (middle, reach) = (self.axis[axis][g], self.chord[g]);
-                let one_sign = middle.abs() > reach + STEEP;
+                let one_sign = middle.abs() > reach + MIN_UNIT_COMPONENT;
                 low[g] = if one_sign { 1.0 / (middle - reach) } else { f32::NAN };
                 high[g] = if one_sign { 1.0 / (middle + reach) } else { f32::NAN };
             }
@@ -218,11 +218,11 @@ impl Cone {
     #[inline(always)]
     pub(crate) fn around(directions: impl Iterator<Item = Vec3> + Clone) -> Self {
         let axis = directions.clone().sum::<Vec3>().try_normalize().unwrap_or(Vec3::Z);
-        let chord = directions.map(|d| d.distance(axis)).fold(0f32, f32::max) + SLACK;
+        let chord = directions.map(|d| d.distance(axis)).fold(0f32, f32::max) + UNIT_VECTOR_ERROR;
         let half = 0.5 * chord;
         // A wide cone meets everything.
         let narrow = [1.0 - 2.0 * half * half, 2.0 * half * (1.0 - half * half).max(0.0).sqrt()];
-        Self { axis, angle: if chord < WIDE { narrow } else { [-1e30, 1.0] }, chord }
+        Self { axis, angle: if chord < HALF_SPACE_CHORD { narrow } else { [-1e30, 1.0] }, chord }
     }
 }
 

@@ -14,13 +14,13 @@ use umbrage_geom::{
 };
 
 /// Most groups of an entry that knows single rays.
-pub(crate) const FEW: u32 = 4;
+pub(crate) const MAX_GROUPS_OF_SINGLE_RAYS: u32 = 4;
 
 /// Most groups whose rays are tested before they are pushed.
-pub(crate) const MANY: u32 = 12;
+pub(crate) const MAX_GROUPS_TESTED_BY_RAY: u32 = 12;
 
 /// Fewest rays for which a node is first tested against the hull.
-const WIDE: u32 = 4;
+const MIN_RAYS_FOR_HULL: u32 = 4;
 
 /// What is asked about the rays.
 pub(crate) trait Goal {
@@ -28,10 +28,17 @@ pub(crate) trait Goal {
     const SHRINKS: bool;
 
     /// Takes the triangles of `leaf` that the filter found on ray number `ray`. Whether the ray needs no more.
-    fn lanes(&mut self, walk: &mut Ground<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool;
+    fn lanes(&mut self, walk: &mut GoalContext<'_>, leaf: u32, ray: usize, mask: BlockMask) -> bool;
 
     /// Takes the rays of `group` that the filter found to meet the triangle in `lane` of `leaf`. The rays that need no more.
-    fn rays(&mut self, walk: &mut Ground<'_>, leaf: u32, lane: usize, group: usize, mask: BlockMask) -> u8;
+    fn rays(
+        &mut self,
+        walk: &mut GoalContext<'_>,
+        leaf: u32,
+        lane: usize,
+        group: usize,
+        mask: BlockMask,
+    ) -> u8;
 
     /// Triangles of a leaf that can be skipped, a bit each, by the sides on which the origin is for certain.
     fn skipped(&self, sides: impl FnOnce() -> (u32, u32)) -> u32;
@@ -41,7 +48,7 @@ pub(crate) trait Goal {
 }
 
 /// What a goal may look at.
-pub(crate) struct Ground<'a> {
+pub(crate) struct GoalContext<'a> {
     pub(crate) bvh: &'a Bvh,
     pub(crate) rays: &'a mut RaySet,
     pub(crate) origin: [f32; 3],
@@ -49,7 +56,7 @@ pub(crate) struct Ground<'a> {
     pub(crate) item: usize,
 }
 
-impl Ground<'_> {
+impl GoalContext<'_> {
     pub(crate) fn block(&self, leaf: u32) -> &TriangleBlock {
         self.bvh.view().leaf(leaf)
     }
@@ -64,7 +71,7 @@ pub(crate) struct Walk {
     pub(crate) done: [u8; GROUPS],
     /// Groups with rays that do.
     open: u32,
-    /// See [`Ground::item`].
+    /// See [`GoalContext::item`].
     pub(crate) item: usize,
     origin: [f32; 3],
     hull: Hull,
@@ -95,7 +102,7 @@ impl Walk {
         self.open = self.rays.open();
         self.top = 1;
         self.stack.children[0] = 0;
-        if self.rays.groups <= FEW as usize {
+        if self.rays.groups <= MAX_GROUPS_OF_SINGLE_RAYS as usize {
             (self.stack.groups[0], self.stack.rays[0]) = (0x0302_0100, u32::MAX);
         } else {
             (self.stack.groups[0], self.stack.rays[0]) = (u32::MAX, 0);
@@ -172,10 +179,10 @@ impl Walk {
                 let child = 31 - wanted.leading_zeros() as usize;
                 wanted ^= 1 << child;
                 let mut groups = kernel.cones(&spheres, child, &self.rays) & live;
-                if groups.count_ones() > FEW {
+                if groups.count_ones() > MAX_GROUPS_OF_SINGLE_RAYS {
                     groups &= kernel.box_groups(&rows, child, &self.rays, &self.hull);
                 }
-                if groups.count_ones() > MANY {
+                if groups.count_ones() > MAX_GROUPS_TESTED_BY_RAY {
                     self.push(bottom, node.children()[child], groups, 0, GROUP as u32 * groups.count_ones());
                 } else if groups != 0 {
                     self.narrow(kernel, &rows, child, node.children()[child], groups, bottom);
@@ -186,7 +193,7 @@ impl Walk {
         while around != 0 {
             let child = 31 - around.leading_zeros() as usize;
             around ^= 1 << child;
-            if live.count_ones() > FEW {
+            if live.count_ones() > MAX_GROUPS_OF_SINGLE_RAYS {
                 let top = self.top;
                 (self.stack.children[top], self.stack.groups[top], self.stack.rays[top]) =
                     (node.children()[child], live, 0);
@@ -217,7 +224,7 @@ impl Walk {
     }
 
     /// Pushes the child in slot `slot` with those of the `groups` that have a ray that may enter it: as groups if they have
-    /// many rays, else as rays, [`FEW`] groups at a time.
+    /// many rays, else as rays, [`MAX_GROUPS_OF_SINGLE_RAYS`] groups at a time.
     #[inline(always)]
     fn narrow<K: Kernel>(
         &mut self,
@@ -238,12 +245,12 @@ impl Walk {
             count += entered[group].count_ones();
         }
         // About where testing rays one by one gets cheaper than a test of each group and child.
-        if kept.count_ones() > FEW && count > 12 + 5 * kept.count_ones() / 2 {
+        if kept.count_ones() > MAX_GROUPS_OF_SINGLE_RAYS && count > 12 + 5 * kept.count_ones() / 2 {
             return self.push(bottom, child, kept, 0, count);
         }
         while kept != 0 {
             let (mut ids, mut rays) = (0, 0);
-            for i in 0..FEW {
+            for i in 0..MAX_GROUPS_OF_SINGLE_RAYS {
                 // Beyond the last group the number is that of some group, and there are no rays.
                 let group = kept.trailing_zeros() % GROUPS as u32;
                 let left = if kept != 0 { entered[group as usize] } else { 0 };
@@ -260,7 +267,7 @@ impl Walk {
         let node = bvh.view().node(node);
         let rows = kernel.rows(node, self.origin);
         let mut wanted = node.used();
-        if rays.count_ones() >= WIDE {
+        if rays.count_ones() >= MIN_RAYS_FOR_HULL {
             wanted &= kernel.inside(&rows, &self.hull);
         }
         let children = node.children();
@@ -280,8 +287,11 @@ impl Walk {
     ) {
         let block = bvh.view().leaf(leaf);
         // Of few rays each is tested sooner than the horizon.
-        let above =
-            if left.count_ones() < WIDE { 0xff } else { kernel.above(block, self.origin, &self.hull) };
+        let above = if left.count_ones() < MIN_RAYS_FOR_HULL {
+            0xff
+        } else {
+            kernel.above(block, self.origin, &self.hull)
+        };
         if above == 0 {
             return;
         }
@@ -311,7 +321,7 @@ impl Walk {
             let mask = BlockMask { certain: certain & !skipped, uncertain: uncertain & !skipped };
             if mask.certain | mask.uncertain != 0 {
                 let Self { rays, origin, item, .. } = self;
-                let mut ground = Ground { bvh, rays, origin: *origin, item: *item };
+                let mut ground = GoalContext { bvh, rays, origin: *origin, item: *item };
                 if goal.lanes(&mut ground, leaf, ray, mask) {
                     self.finish(ray / GROUP, 1 << (ray % GROUP));
                 }
@@ -356,7 +366,7 @@ impl Walk {
             lanes &= lanes - 1;
             let mut asked = false;
             let mut groups = groups & self.open;
-            if groups.count_ones() > FEW {
+            if groups.count_ones() > MAX_GROUPS_OF_SINGLE_RAYS {
                 groups &= kernel.lane_groups(&rows, lane, &self.rays);
             }
             while groups != 0 {
@@ -377,7 +387,7 @@ impl Walk {
                 let mask = BlockMask { certain: certain & open, uncertain: uncertain & open };
                 if mask.certain | mask.uncertain != 0 {
                     let Self { rays, origin, item, .. } = self;
-                    let mut ground = Ground { bvh, rays, origin: *origin, item: *item };
+                    let mut ground = GoalContext { bvh, rays, origin: *origin, item: *item };
                     let done = goal.rays(&mut ground, leaf, lane, group, mask);
                     self.finish(group, done);
                 }

@@ -1,4 +1,5 @@
-//! What only comparisons with `[Laine10]` need: the published pattern of rays.
+//! What only comparisons with `[Laine10]` need: the published pattern of rays, and both ways to find masks of nodes
+//! ([`NodeMasks`], which [`crate::TableOptions`] chooses).
 //!
 //! [`relaxed`] gives the rays of section 6 of the paper, jittered as in section 3. They are *biased*: each ray is the centroid of
 //! a cell of the disc, so no ray comes near the horizon, and a small rotation and tilt don't make up for it. Against the reference
@@ -6,6 +7,8 @@
 //! and 0.001 with 1024.
 
 pub(crate) mod lloyd;
+
+pub use crate::table::node_mask::NodeMasks;
 
 use crate::pattern::{PatternOptions, Points};
 

@@ -26,7 +26,7 @@ impl<'a> RasterLevel<'a> {
     }
 }
 
-/// Settings of [`super::rasterize`].
+/// Settings of [`super::RasterCall`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct RasterOptions {
@@ -54,6 +54,17 @@ impl RasterOptions {
     #[must_use]
     pub fn with_culling_tests(self, culling_tests: u8) -> Self {
         Self { culling_tests, ..self }
+    }
+
+    /// Checks what [`prepare`] doesn't.
+    pub(super) fn validate(&self) -> Result<(), MaskError> {
+        match self.culling_tests {
+            0..=5 => Ok(()),
+            tests => {
+                let (name, value) = ("culling_tests", tests.into());
+                Err(MaskError::Option { name, value, expected: "0 to 5" })
+            }
+        }
     }
 }
 

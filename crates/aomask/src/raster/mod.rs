@@ -23,14 +23,14 @@ pub use camera::RasterCamera;
 pub use lod::{RasterLevel, RasterOptions};
 #[cfg(feature = "simplify")]
 pub use simplify::{SimplifiedLevel, simplified_levels};
-pub use tile::RasterCounters;
 
 use crate::{
     MaskError, MaskOptions, MaskTables, Outputs, Receiver,
-    gather::{Answers, Wanted},
+    gather::{Answers, OutputRequest},
     table::TableSet,
 };
 use tile::{Draw, Level, Scratch, Setting, TILE, Tile};
+use umbrage_accel::Counters;
 use umbrage_geom::{Aabb, Progress, glam::Vec3, sampling::combine};
 
 /// An image of receivers.
@@ -72,6 +72,11 @@ impl<'a> RasterView<'a> {
 
     /// Checked receivers; pixel `i` has the seed `combine(seed, i)`.
     fn receivers(&self, seed: u32) -> Result<Vec<Option<Receiver>>, MaskError> {
+        // NaN is refused too.
+        if !(self.footprint >= 0.0 && self.footprint.is_finite()) {
+            let (name, value) = ("footprint", self.footprint);
+            return Err(MaskError::Option { name, value, expected: "a finite number from 0" });
+        }
         let points = (self.width as usize).saturating_mul(self.height as usize);
         for (what, actual) in [("points", self.points.len()), ("normals", self.normals.len())] {
             if actual != points {
@@ -90,38 +95,65 @@ impl<'a> RasterView<'a> {
     }
 }
 
-/// Ambient occlusion of all receivers of `view` among the triangles of `levels`, the first of which is the scene itself; the
-/// others, if any, stand for it at a distance ([`RasterLevel`]). Where there is no receiver, or it is behind the camera, `ao`
-/// is 1 and masks and bent normals are 0. Results depend on the arguments only, not on threads. `progress` gets growing
-/// fractions that end at exactly 1, from any thread, and returns `false` to cancel.
-///
-/// # Errors
-/// [`MaskError::Build`] for geometry that can't be used; [`MaskError::Level`], [`MaskError::Radius`],
-/// [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`], [`MaskError::Normal`],
-/// [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
-pub fn rasterize(
-    tables: &MaskTables,
-    levels: &[RasterLevel<'_>],
-    view: &RasterView<'_>,
-    options: &MaskOptions,
-    raster: &RasterOptions,
-    mut outputs: Outputs<'_>,
-    progress: &mut (dyn FnMut(f32) -> bool + Send),
-) -> Result<RasterCounters, MaskError> {
-    let pattern = tables.pattern();
-    options.validate_for_tables(pattern)?;
-    outputs.validate_for_tables()?;
-    let receivers = view.receivers(options.seed)?;
-    outputs.validate(receivers.len(), pattern.words())?;
-    let levels = lod::prepare(levels, &bounds(levels, &receivers), options, raster, pattern)?;
-    let result = crate::table::with_set!(tables.sets(), set => {
-        Raster { tables, set, levels: &levels, view, options, raster, receivers: &receivers }.run(progress)
-    });
-    let (masks, counters) = result?;
-    let answers = Answers { masks, ..Answers::default() };
-    let gathered = Wanted::new(&outputs).gather(pattern, receivers.iter().map(Option::as_ref), &answers);
-    gathered.write(&mut outputs, 0..receivers.len());
-    Ok(counters)
+/// All receivers of an image and the triangles that may occlude them.
+#[derive(Clone, Copy)]
+#[must_use = "nothing is rasterized before `run`"]
+pub struct RasterCall<'a> {
+    tables: &'a MaskTables,
+    levels: &'a [RasterLevel<'a>],
+    view: &'a RasterView<'a>,
+    options: MaskOptions,
+    raster: RasterOptions,
+}
+
+impl<'a> RasterCall<'a> {
+    /// The receivers of `view` among the triangles of `levels`, the first of which is the scene itself; the others, if any, stand
+    /// for it at a distance ([`RasterLevel`]). Options are the defaults.
+    pub fn new(tables: &'a MaskTables, levels: &'a [RasterLevel<'a>], view: &'a RasterView<'a>) -> Self {
+        Self { tables, levels, view, options: MaskOptions::default(), raster: RasterOptions::default() }
+    }
+
+    /// Sets radius, sides and seed.
+    pub fn with_options(self, options: MaskOptions) -> Self {
+        Self { options, ..self }
+    }
+
+    /// Sets what is said of rasterization.
+    pub fn with_raster(self, raster: RasterOptions) -> Self {
+        Self { raster, ..self }
+    }
+
+    /// Ambient occlusion of all receivers. Where there is no receiver, or it is behind the camera, `ao` is 1 and masks and bent
+    /// normals are 0. Results depend on what was said only, not on threads. `progress` gets growing fractions that end at
+    /// exactly 1, from any thread, and returns `false` to cancel. Returns the work.
+    ///
+    /// # Errors
+    /// [`MaskError::Build`] for geometry that can't be used; [`MaskError::Level`], [`MaskError::Radius`],
+    /// [`MaskError::Option`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`],
+    /// [`MaskError::Normal`], [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
+    pub fn run(
+        self,
+        mut outputs: Outputs<'_>,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<Counters, MaskError> {
+        let Self { tables, levels, view, options, raster } = &self;
+        let pattern = tables.pattern();
+        options.validate_for_tables(pattern)?;
+        outputs.validate_for_tables()?;
+        raster.validate()?;
+        let receivers = view.receivers(options.seed)?;
+        outputs.validate(receivers.len(), pattern.words())?;
+        let levels = lod::prepare(levels, &bounds(levels, &receivers), options, raster, pattern)?;
+        let result = crate::table::with_set!(tables.sets(), set => {
+            Raster { tables, set, levels: &levels, view, options, raster, receivers: &receivers }.run(progress)
+        });
+        let (masks, counters) = result?;
+        let answers = Answers { masks, ..Answers::default() };
+        let gathered =
+            OutputRequest::new(&outputs).gather(pattern, receivers.iter().map(Option::as_ref), &answers);
+        gathered.write(&mut outputs, 0..receivers.len());
+        Ok(counters)
+    }
 }
 
 /// Box around everything.
@@ -149,18 +181,15 @@ struct Reach {
 }
 
 impl<const W: usize> Raster<'_, W> {
-    fn run(
-        &self,
-        progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(Vec<u64>, RasterCounters), MaskError> {
+    fn run(&self, progress: &mut (dyn FnMut(f32) -> bool + Send)) -> Result<(Vec<u64>, Counters), MaskError> {
         let size = [self.view.width as usize, self.view.height as usize];
         let [columns, rows] = size.map(|n| n.div_ceil(TILE));
         let setting = Setting {
             camera: self.view.camera,
             size,
-            footprint: f64::from(self.view.footprint.max(0.0)) + 1e-3,
+            footprint: f64::from(self.view.footprint) + 1e-3,
             sides: self.options.sides,
-            tests: self.raster.culling_tests.min(5) as usize,
+            tests: self.raster.culling_tests.into(),
             tables: self.set.triangle_tables(),
         };
         let progress = Progress::new((columns * rows) as u64, progress);
@@ -177,7 +206,7 @@ impl<const W: usize> Raster<'_, W> {
         });
         let words = self.tables.pattern().words();
         let mut masks = vec![0; size[0] * size[1] * words];
-        let mut counters = RasterCounters::default();
+        let mut counters = Counters::default();
         for tile in tiles {
             let (tile, tile_masks, tile_counters) = tile?;
             counters += tile_counters;
@@ -199,12 +228,12 @@ impl<const W: usize> Raster<'_, W> {
         [column, row]: [usize; 2],
         reaches: &[Vec<Reach>],
         bands: &[Vec<Vec<u32>>],
-    ) -> (Tile, Vec<[u64; W]>, RasterCounters) {
+    ) -> (Tile, Vec<[u64; W]>, Counters) {
         let at = [column * TILE, row * TILE];
         let pattern = self.tables.pattern();
         let tile = Tile::new(at, setting.size, self.receivers, pattern, &setting.camera);
         let mut masks = vec![[0; W]; tile.stride() * tile.height];
-        let mut counters = RasterCounters::default();
+        let mut counters = Counters::default();
         let mut scratch = Scratch::default();
         if tile.near < f64::INFINITY {
             for ((level, reaches), bands) in self.levels.iter().zip(reaches).zip(bands) {

@@ -8,13 +8,13 @@ use crate::Sides;
 use umbrage_geom::glam::DVec3;
 
 /// Ratio of a triangle's bounding radius to the radius of influence from which it gets a prism, the `alpha` of the paper.
-const PRISM: f64 = 0.2;
+const MIN_PRISM_RATIO: f64 = 0.2;
 
 /// Corners of the polygons that stand for circles.
 const CORNERS: usize = 12;
 
 /// Share of the radius that regions are larger than needed, for rounding and for surfaces on concave edges.
-const PAD: f64 = 1e-3;
+const REGION_PADDING: f64 = 1e-3;
 
 /// Cosines and sines of [`CORNERS`] angles.
 const ANGLES: [[f64; 2]; CORNERS] = {
@@ -35,7 +35,7 @@ const ANGLES: [[f64; 2]; CORNERS] = {
     ]
 };
 /// `1 / cos(15 degrees)`: a regular polygon with corners on a circle larger by this holds the circle.
-const ENLARGED: f64 = 1.035_276_180_410_083;
+const CIRCUMSCRIBED_RADIUS: f64 = 1.035_276_180_410_083;
 
 /// A triangle set up for rasterization.
 #[derive(Clone, Debug)]
@@ -69,14 +69,14 @@ impl Influence {
         let normal = (b - a).cross(c - a).try_normalize()?;
         let (center, bound) = bounding_sphere(corners);
         let largest = a.abs().max(b.abs()).max(c.abs()).max_element();
-        let reach = radius * (1.0 + PAD) + largest * 1e-6;
+        let reach = radius * (1.0 + REGION_PADDING) + largest * 1e-6;
         Some(Self { corners, normal, center, bound, reach, sides })
     }
 
     /// Whether the triangle is large enough for a prism, or the eye too close for a billboard.
     pub(super) fn takes_prism(&self, camera: &RasterCamera) -> bool {
         let sphere = self.bound + self.reach;
-        self.bound > PRISM * self.reach || self.center.distance(camera.eye()) <= 1.05 * sphere
+        self.bound > MIN_PRISM_RATIO * self.reach || self.center.distance(camera.eye()) <= 1.05 * sphere
     }
 
     /// Writes the shape that the paper would draw; nothing nearer than `near` matters.
@@ -96,7 +96,7 @@ impl Influence {
         let top = n * reach;
         let bottom = match self.sides {
             Sides::Both => -top,
-            Sides::Front | Sides::FrontFirst => n * (-PAD * reach),
+            Sides::Front | Sides::FrontFirst => n * (-REGION_PADDING * reach),
         };
         let mut base = [DVec3::ZERO; 6];
         for i in 0..3 {
@@ -145,22 +145,25 @@ impl Influence {
         // The circle where cone from the eye touches the sphere.
         let back = sphere * sphere / distance;
         let rim = (sphere * sphere - back * back).sqrt();
-        let touching =
-            |[cos, sin]: [f64; 2]| self.center - axis * back + (x * cos + y * sin) * (rim * ENLARGED);
+        let touching = |[cos, sin]: [f64; 2]| {
+            self.center - axis * back + (x * cos + y * sin) * (rim * CIRCUMSCRIBED_RADIUS)
+        };
         if self.sides == Sides::Both {
             ANGLES.into_iter().for_each(|angle| add(touching(angle)));
             return;
         }
         // In front of the triangle's plane, and as much behind as the next corner may be: arcs are covered to their ends.
-        let slack = -rim * ENLARGED * 0.52;
+        let slack = -rim * CIRCUMSCRIBED_RADIUS * 0.52;
         ANGLES
             .into_iter()
             .map(touching)
             .filter(|p| self.normal.dot(*p - self.center) > slack)
             .for_each(&mut add);
         let (x, y) = self.normal.any_orthonormal_pair();
-        let lowered = self.center - self.normal * (PAD * self.reach);
-        ANGLES.into_iter().for_each(|[cos, sin]| add(lowered + (x * cos + y * sin) * (sphere * ENLARGED)));
+        let lowered = self.center - self.normal * (REGION_PADDING * self.reach);
+        ANGLES
+            .into_iter()
+            .for_each(|[cos, sin]| add(lowered + (x * cos + y * sin) * (sphere * CIRCUMSCRIBED_RADIUS)));
     }
 }
 

@@ -9,6 +9,7 @@ use crate::{
     Pattern, Receiver, Sides,
     table::{F8, TriangleTables, Triangles, V8},
 };
+use umbrage_accel::Counters;
 use umbrage_geom::{
     glam::{DVec3, Vec3},
     simd::Job,
@@ -16,31 +17,6 @@ use umbrage_geom::{
 
 /// Pixels along each side of a tile.
 pub(super) const TILE: usize = 64;
-
-/// How many fragments there were, and how many each test left. Sums over all triangles.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RasterCounters {
-    /// Triangles drawn as hexagonal prisms, counted in every tile they touch.
-    pub prisms: u64,
-    /// Triangles drawn as billboards, counted in every tile they touch.
-    pub billboards: u64,
-    /// Fragments that pass the inverted depth test.
-    pub fragments: u64,
-    /// Fragments left after far depth, bounding sphere, facing, plane distance and hemisphere.
-    pub after: [u64; 5],
-    /// Masks looked up: as many as the tests in use leave.
-    pub lookups: u64,
-}
-
-impl std::ops::AddAssign for RasterCounters {
-    fn add_assign(&mut self, other: Self) {
-        self.prisms += other.prisms;
-        self.billboards += other.billboards;
-        self.fragments += other.fragments;
-        self.lookups += other.lookups;
-        self.after.iter_mut().zip(other.after).for_each(|(sum, after)| *sum += after);
-    }
-}
 
 /// Part of the image with its receivers, coordinate by coordinate; rows are padded to whole eights. Pixels without a
 /// receiver are not a number.
@@ -173,7 +149,7 @@ pub(super) struct Draw<'a, 's, const W: usize> {
     /// Row by row of `stride` pixels.
     pub(super) masks: &'a mut [[u64; W]],
     pub(super) scratch: &'a mut Scratch,
-    pub(super) counters: &'a mut RasterCounters,
+    pub(super) counters: &'a mut Counters,
 }
 
 impl<const W: usize> Job for Draw<'_, '_, W> {
@@ -271,8 +247,8 @@ impl<const W: usize> Draw<'_, '_, W> {
         let early =
             if setting.tests > 0 { far_depth } else { !0 } & if setting.tests > 1 { sphere } else { !0 };
         if alive & early == 0 {
-            self.counters.after[0] += u64::from((alive & far_depth).count_ones());
-            self.counters.after[1] += u64::from((alive & far_depth & sphere).count_ones());
+            self.counters.fragments_after[0] += u64::from((alive & far_depth).count_ones());
+            self.counters.fragments_after[1] += u64::from((alive & far_depth & sphere).count_ones());
             return;
         }
         let inverse = F8::splat(1.0 / level.unit);
@@ -293,12 +269,12 @@ impl<const W: usize> Draw<'_, '_, W> {
         let mut looked_up = alive;
         for (i, test) in tests.into_iter().enumerate() {
             all &= test;
-            self.counters.after[i] += u64::from(all.count_ones());
+            self.counters.fragments_after[i] += u64::from(all.count_ones());
             if i < setting.tests {
                 looked_up = all;
             }
         }
-        self.counters.lookups += u64::from(looked_up.count_ones());
+        self.counters.fragment_masks += u64::from(looked_up.count_ones());
         let turn = |v: V8| V8::new(axes[0].dot(v), axes[1].dot(v), axes[2].dot(v));
         let masks = &mut self.masks[at..at + 8];
         triangles.masks(looked_up, setting.tables, turn, level.near / level.unit, |i, mask| {

@@ -6,14 +6,12 @@
 
 mod edge;
 mod lanes;
-mod node_mask;
+pub(crate) mod node_mask;
 mod plane;
-mod statistics;
 mod traversal;
 mod triangle_mask;
 
-pub use node_mask::NodeMasks;
-pub use statistics::{TableCounters, TableStatistics};
+use node_mask::NodeMasks;
 
 pub(crate) use lanes::{F8, V8};
 pub(crate) use triangle_mask::{TriangleTables, Triangles};
@@ -27,7 +25,7 @@ use edge::EdgeTable;
 use node_mask::{NodeLookup, Silhouettes};
 use plane::PlaneTable;
 use traversal::{Scene, Stack};
-use umbrage_accel::Bvh;
+use umbrage_accel::{Bvh, Counters, Statistics};
 use umbrage_geom::{glam::Vec3, simd::Job};
 
 /// Cells along each side of the cube map of silhouettes.
@@ -42,7 +40,7 @@ pub struct TableOptions {
     /// Cells along each side of the cube map of edges, 8 to 1024; 0 chooses by the number of rays. Equal to
     /// [`Self::planes`], edges have the cells that the paper gives them.
     pub edges: u32,
-    /// How the rays that may meet a node are found.
+    /// How the rays that may meet a node are found; a comparison of the paper.
     pub node_masks: NodeMasks,
     /// What queries run on.
     pub back_end: BackEnd,
@@ -198,32 +196,14 @@ impl MaskTables {
         with_set!(&self.tables, set => set.bytes())
     }
 
-    /// Ambient occlusion of receivers at `points` (world units, see [`Receiver::new`]) that look along `normals` among the
-    /// triangles of `bvh`. Results depend on the arguments only, not on threads or back end. `progress` gets growing
-    /// fractions that end at exactly 1, from any thread, and returns `false` to cancel.
-    ///
-    /// # Errors
-    /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Point`],
-    /// [`MaskError::Normal`], [`MaskError::Unsupported`], [`MaskError::Cancelled`]. The outputs are as they were then.
-    pub fn answer(
-        &self,
-        bvh: &Bvh,
-        points: &[[f32; 3]],
-        normals: &[[f32; 3]],
-        options: &MaskOptions,
-        outputs: Outputs<'_>,
-        progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(), MaskError> {
-        let receivers = drive::receivers(points, normals, options.seed)?;
-        self.answer_receivers(bvh, &receivers, options, outputs, progress)
-    }
-
-    /// [`Self::answer`] for receivers with seeds of their own; [`MaskOptions::seed`] is not used.
+    /// Ambient occlusion of `receivers` among the triangles of `bvh`; [`MaskOptions::seed`] is not used. Results depend on the
+    /// arguments only, not on threads or back end. `progress` gets growing fractions that end at exactly 1, from any thread, and
+    /// returns `false` to cancel.
     ///
     /// # Errors
     /// [`MaskError::Radius`], [`MaskError::FalloffWithoutRadius`], [`MaskError::Length`], [`MaskError::Unsupported`],
-    /// [`MaskError::Cancelled`].
-    pub fn answer_receivers(
+    /// [`MaskError::Cancelled`]. The outputs are as they were then.
+    pub fn answer(
         &self,
         bvh: &Bvh,
         receivers: &[Receiver],
@@ -265,9 +245,9 @@ impl MaskTables {
         bvh: &Bvh,
         receivers: &[Receiver],
         options: &MaskOptions,
-    ) -> Result<TableCounters, MaskError> {
+    ) -> Result<Counters, MaskError> {
         options.validate_for_tables(&self.pattern)?;
-        let mut counters = TableCounters::default();
+        let mut counters = Counters::default();
         with_set!(&self.tables, set => {
             let scene = self.scene(set, bvh, options);
             let mut masks = vec![0; receivers.len() * self.pattern.words()];
@@ -356,7 +336,7 @@ struct Counted<'a, 's, const W: usize, S> {
     stats: &'a mut S,
 }
 
-impl<const W: usize, S: TableStatistics> Job for Counted<'_, '_, W, S> {
+impl<const W: usize, S: Statistics> Job for Counted<'_, '_, W, S> {
     type Output = ();
 
     #[inline(always)]

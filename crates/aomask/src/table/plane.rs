@@ -8,7 +8,7 @@ use crate::BackEnd;
 use umbrage_geom::{glam::Vec3, simd::Job};
 
 /// Share of the table's radius that distances take, the `7/8` of the paper.
-const DEPTH: f32 = 0.875;
+const DEPTH_SHARE: f32 = 0.875;
 
 /// Masks of the rays whose end lies on the far side of a plane, for planes `n . x = d` with unit `n`, `0 <= d <= 1` (in
 /// radii).
@@ -54,7 +54,7 @@ impl<const W: usize> PlaneTable<W> {
     #[inline(always)]
     pub(crate) fn cells(&self, normals: V8, distances: F8) -> [u32; 8] {
         let half = 0.5 * (self.resolution - 1) as f32;
-        let depth = F8::splat(half) - F8::splat(half * DEPTH) * distances;
+        let depth = F8::splat(half) - F8::splat(half * DEPTH_SHARE) * distances;
         let at = normals.scale(depth / normals.abs().largest());
         let [x, y, z] = [at.x, at.y, at.z];
         let half = F8::splat(half);
@@ -119,7 +119,7 @@ impl<const W: usize> Job for Layer<'_, W> {
             // The surface is met exactly: planes through the receiver.
             let outermost = |i: usize| i == 0 || i == self.side - 1;
             let on_surface = outermost(i % self.side) || outermost(i / self.side) || outermost(self.z);
-            let distance = if on_surface { 0.0 } else { (1.0 - q.abs().max_element()) / DEPTH };
+            let distance = if on_surface { 0.0 } else { (1.0 - q.abs().max_element()) / DEPTH_SHARE };
             // Cells in the middle belong to no plane within the radius.
             if distance <= 1.0 + 2.0 * step {
                 *cell = self.rays.beyond(q.normalize_or_zero(), distance);
@@ -151,7 +151,7 @@ impl Margin {
     pub(crate) fn of<const W: usize>(table: &PlaneTable<W>) -> Self {
         // A little more than the bounds, for rounding.
         let half = table.half_cell() * 1.0001 + 4e-6;
-        Self { offset: half * 3f32.sqrt() * 1.0001, depth: half / DEPTH * 1.0001 }
+        Self { offset: half * 3f32.sqrt() * 1.0001, depth: half / DEPTH_SHARE * 1.0001 }
     }
 
     /// Sine of the largest angle between a normal and that of the cell of its plane at distance `d` or less.
@@ -160,7 +160,7 @@ impl Margin {
     #[inline(always)]
     fn sine(self, d: F8) -> F8 {
         let one = F8::splat(1.0);
-        (F8::splat(self.offset) / (one - F8::splat(DEPTH) * d)).min(one)
+        (F8::splat(self.offset) / (one - F8::splat(DEPTH_SHARE) * d)).min(one)
     }
 
     /// Distance to look up for a circle of directions with this cosine and sine of its angular radius, so that the mask

@@ -5,13 +5,12 @@
 //! use on one CPU thread.
 
 use super::{
-    TableStatistics,
     lanes::{F8, V8, gain},
     node_mask::{LocalBoxes, NodeLookup, NodeMasks},
     triangle_mask::{Local, TriangleTables, Triangles},
 };
 use crate::{Pattern, Receiver, Sides};
-use umbrage_accel::{Child, View};
+use umbrage_accel::{Child, Statistics, View};
 use umbrage_geom::Aabb;
 
 /// What all receivers of a call share.
@@ -39,7 +38,7 @@ pub(crate) type Stack<const W: usize> = Vec<Entry<W>>;
 impl<const W: usize> Scene<'_, W> {
     /// Mask of the rays of `receiver` that are blocked. Rays not in `blocked` at the start are asked about.
     #[inline(always)]
-    pub(crate) fn blocked<S: TableStatistics>(
+    pub(crate) fn blocked<S: Statistics>(
         &self,
         receiver: &Receiver,
         mut blocked: [u64; W],
@@ -82,7 +81,7 @@ impl<const W: usize> Scene<'_, W> {
     }
 
     #[inline(always)]
-    fn node<S: TableStatistics>(
+    fn node<S: Statistics>(
         &self,
         index: u32,
         local: &Local,
@@ -92,7 +91,7 @@ impl<const W: usize> Scene<'_, W> {
     ) {
         let node = self.view.node(index);
         let (boxes, alive) = hemisphere(node.bounds(), node.used(), local);
-        stats.node(node.len() as u32, alive.count_ones());
+        stats.node(node.len() as u32);
         let mut order = [(0u32, 0usize); 8];
         let mut masks = [[0; W]; 8];
         let mut count = 0;
@@ -119,14 +118,14 @@ impl<const W: usize> Scene<'_, W> {
                 }
             }
         }
-        stats.culled_nodes(alive.count_ones() - count as u32);
+        stats.node_masks(alive.count_ones(), alive.count_ones() - count as u32);
         for &(_, i) in &order[..count] {
             stack.push(Entry { child: node.child(i), mask: masks[i] });
         }
     }
 
     #[inline(always)]
-    fn leaf<S: TableStatistics>(&self, index: u32, local: &Local, blocked: &mut [u64; W], stats: &mut S) {
+    fn leaf<S: Statistics>(&self, index: u32, local: &Local, blocked: &mut [u64; W], stats: &mut S) {
         let block = self.view.leaf(index);
         let [a, b, c] = block.corners();
         let corners = [local.points(&a), local.points(&b), local.points(&c)];
@@ -146,7 +145,8 @@ impl<const W: usize> Scene<'_, W> {
             alive &= test;
             *after = alive.count_ones();
         }
-        stats.leaf(used.count_ones(), after);
+        stats.triangles(used.count_ones());
+        stats.triangles_after(after);
         if alive != 0 {
             triangles.masks(
                 alive,

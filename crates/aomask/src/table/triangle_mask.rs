@@ -15,7 +15,7 @@ use umbrage_geom::{
 };
 
 /// Coordinates, in radii, up to which products of four stay far from the largest `f32`; beyond, `f64` is used.
-const LARGE: f32 = 1e9;
+const MAX_F32_COORDINATE: f32 = 1e9;
 
 /// The surroundings of a receiver in radii, and the pattern's axes.
 #[derive(Clone, Copy, Debug)]
@@ -112,7 +112,7 @@ impl Triangles {
             edges: [a.cross(b).scale(sign), b.cross(c).scale(sign), c.cross(a).scale(sign)],
             normals: normals.scale(sign),
             distances,
-            large: F8::splat(LARGE).le(low.abs().max(high.abs()).largest()),
+            large: F8::splat(MAX_F32_COORDINATE).le(low.abs().max(high.abs()).largest()),
         }
     }
 

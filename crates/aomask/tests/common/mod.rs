@@ -3,7 +3,10 @@
 
 use std::ops::ControlFlow;
 use umbrage_accel::{BuildOptions, Bvh};
-use umbrage_aomask::{MaskOptions, Pattern, PatternOptions, Points as DiscPoints, Receiver, Sides};
+use umbrage_aomask::{
+    BackEnd, MaskCall, MaskError, MaskOptions, MaskTables, Outputs, Pattern, PatternOptions,
+    Points as DiscPoints, Receiver, Sides,
+};
 use umbrage_geom::{
     Falloff, Ray, TriangleHit, TriangleMesh,
     glam::{Vec2, Vec3},
@@ -69,6 +72,36 @@ pub fn rays(pattern: &Pattern, (points, normals): &Points, options: &MaskOptions
     let seed = Receiver::seed_of(points[i], normals[i], options.seed);
     let receiver = Receiver::new(i, points[i], normals[i], seed).expect("valid receiver");
     pattern.rays_of(&receiver, options.radius).collect()
+}
+
+/// Points with normals.
+pub type Slices<'a> = (&'a [[f32; 3]], &'a [[f32; 3]]);
+
+/// Method `mask`.
+pub fn mask(
+    bvh: &Bvh,
+    pattern: &Pattern,
+    (points, normals): Slices<'_>,
+    options: &MaskOptions,
+    back_end: BackEnd,
+    outputs: Outputs<'_>,
+) -> Result<(), MaskError> {
+    let receivers = Receiver::from_slices(points, normals, options.seed)?;
+    let call = MaskCall::new(bvh, pattern, &receivers, options).with_back_end(back_end);
+    call.answer(outputs, &mut |_| true)
+}
+
+/// Method `mask-table`.
+pub fn table(
+    tables: &MaskTables,
+    bvh: &Bvh,
+    (points, normals): Slices<'_>,
+    options: &MaskOptions,
+    outputs: Outputs<'_>,
+    go_on: bool,
+) -> Result<(), MaskError> {
+    let receivers = Receiver::from_slices(points, normals, options.seed)?;
+    tables.answer(bvh, &receivers, options, outputs, &mut |_| go_on)
 }
 
 /// Masks of all receivers by exact single rays.

@@ -7,7 +7,9 @@ use super::Finding;
 use crate::{
     Aabb,
     exact::{Accumulator, exact_difference, small_det_sign},
-    is_degenerate, morton,
+    is_degenerate,
+    mesh::{MeshError, validate_indices},
+    morton,
     triangle::{DET_ERROR, add_det, certain_sign},
 };
 use glam::DVec3;
@@ -120,13 +122,14 @@ const LEAF: usize = 4;
 
 /// Finds pairs of triangles that meet elsewhere than in a common corner or edge; triangles without area don't count.
 ///
-/// # Panics
-/// If a triangle names a vertex that does not exist.
+/// # Errors
+/// [`MeshError::Index`].
 pub fn self_intersections(
     positions: &[[f32; 3]],
     triangles: &[[u32; 3]],
     welded: &[u32],
-) -> Finding<[u32; 2]> {
+) -> Result<Finding<[u32; 2]>, MeshError> {
+    validate_indices(triangles, positions.len().min(welded.len()))?;
     let corners = |t: u32| triangles[t as usize].map(|v| positions[v as usize]);
     let with_area: Vec<u32> = (0..triangles.len() as u32).filter(|&t| !is_degenerate(corners(t))).collect();
     let centers: Vec<Point> =
@@ -134,7 +137,7 @@ pub fn self_intersections(
     let order: Vec<u32> = morton::order(&centers).into_iter().map(|i| with_area[i as usize]).collect();
     let mut pairs: Vec<[u32; 2]> = Vec::new();
     if order.is_empty() {
-        return Finding::default();
+        return Ok(Finding::default());
     }
     // A complete binary tree over runs of the order: node `i` has children `2 i + 1` and `2 i + 2`.
     let leaves = order.len().div_ceil(LEAF).next_power_of_two();
@@ -183,5 +186,5 @@ pub fn self_intersections(
     pairs.sort_unstable();
     let mut finding = Finding::default();
     pairs.into_iter().for_each(|pair| finding.add(pair));
-    finding
+    Ok(finding)
 }

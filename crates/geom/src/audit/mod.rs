@@ -15,7 +15,10 @@ mod intersect;
 
 pub use intersect::self_intersections;
 
-use crate::{Aabb, is_degenerate};
+use crate::{
+    Aabb, is_degenerate,
+    mesh::{MeshError, validate_indices},
+};
 use glam::DVec3;
 
 /// Most examples that a finding keeps.
@@ -114,15 +117,15 @@ impl Orientation {
 
 /// All checks. Takes `O(n log n)` time for meshes whose triangles don't cut each other.
 ///
-/// # Panics
-/// If a triangle names a vertex that does not exist.
-pub fn audit(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Audit {
+/// # Errors
+/// [`MeshError::Index`].
+pub fn audit(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Result<Audit, MeshError> {
     let welded = weld(positions);
-    Audit {
-        edges: edges(triangles, &welded),
-        orientation: orient(positions, triangles, &welded),
-        self_intersections: self_intersections(positions, triangles, &welded),
-    }
+    Ok(Audit {
+        edges: edges(triangles, &welded)?,
+        orientation: orient(positions, triangles, &welded)?,
+        self_intersections: self_intersections(positions, triangles, &welded)?,
+    })
 }
 
 /// For each vertex the first one at the same position.
@@ -158,9 +161,10 @@ fn halves(triangles: &[[u32; 3]], welded: &[u32]) -> Vec<Half> {
 
 /// How `triangles` meet along edges.
 ///
-/// # Panics
-/// If a triangle names a vertex that does not exist.
-pub fn edges(triangles: &[[u32; 3]], welded: &[u32]) -> Edges {
+/// # Errors
+/// [`MeshError::Index`].
+pub fn edges(triangles: &[[u32; 3]], welded: &[u32]) -> Result<Edges, MeshError> {
+    validate_indices(triangles, welded.len())?;
     let mut report = Edges::default();
     for edge in halves(triangles, welded).chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
         report.edges += 1;
@@ -172,7 +176,7 @@ pub fn edges(triangles: &[[u32; 3]], welded: &[u32]) -> Edges {
             _ => report.non_manifold.add(ends),
         }
     }
-    report
+    Ok(report)
 }
 
 /// Turns triangles so that each component is consistent and faces outwards.
@@ -181,9 +185,14 @@ pub fn edges(triangles: &[[u32; 3]], welded: &[u32]) -> Edges {
 /// component that doesn't cut itself, and chooses well for others. Triangles without area have no side: the order of their
 /// corners makes no difference, and components of nothing else get the turns that leave the fewest edges open.
 ///
-/// # Panics
-/// If a triangle names a vertex that does not exist.
-pub fn orient(positions: &[[f32; 3]], triangles: &[[u32; 3]], welded: &[u32]) -> Orientation {
+/// # Errors
+/// [`MeshError::Index`].
+pub fn orient(
+    positions: &[[f32; 3]],
+    triangles: &[[u32; 3]],
+    welded: &[u32],
+) -> Result<Orientation, MeshError> {
+    validate_indices(triangles, positions.len().min(welded.len()))?;
     let halves = halves(triangles, welded);
     let mut sets = ParitySets::new(triangles.len());
     for edge in halves.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
@@ -243,7 +252,7 @@ pub fn orient(positions: &[[f32; 3]], triangles: &[[u32; 3]], welded: &[u32]) ->
         orientation.open.extend(std::iter::repeat_n(direction, net.unsigned_abs() as usize));
     }
     orientation.turns = turns;
-    orientation
+    Ok(orientation)
 }
 
 /// A triangle with three different corners.

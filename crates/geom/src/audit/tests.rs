@@ -20,7 +20,7 @@ fn joined(meshes: &[Mesh]) -> Mesh {
 }
 
 fn check((positions, triangles): &Mesh) -> Audit {
-    audit(positions, triangles)
+    audit(positions, triangles).expect("valid indices")
 }
 
 #[test]
@@ -144,7 +144,8 @@ fn touching_and_cutting_shells_enclose_but_are_not_well_behaved() {
 #[test]
 fn a_fold_and_a_crossing_are_intersections() {
     let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2, 0.2, 0.0], [0.2, 0.2, 1.0]];
-    let found = |triangles: &[[u32; 3]]| self_intersections(&positions, triangles, &weld(&positions)).count;
+    let found =
+        |triangles: &[[u32; 3]]| self_intersections(&positions, triangles, &weld(&positions)).unwrap().count;
     assert_eq!(found(&[[0, 1, 2], [0, 1, 3]]), 1);
     assert_eq!(found(&[[0, 1, 2], [0, 1, 4]]), 0);
     assert_eq!(found(&[[0, 1, 2], [0, 3, 4]]), 1);
@@ -163,13 +164,13 @@ proptest! {
         let count = points.len();
         let triangles: Vec<[u32; 3]> = indices.iter().map(|t| t.map(|i| u32::from(i) % count as u32)).collect();
         let welded = weld(&points);
-        let all = self_intersections(&points, &triangles, &welded);
+        let all = self_intersections(&points, &triangles, &welded).unwrap();
         let mut single = 0;
         for i in 0..triangles.len() {
             for j in 0..i {
                 // Turned and swapped, too.
                 let [a, b, c] = triangles[i];
-                single += self_intersections(&points, &[[c, a, b], triangles[j]], &welded).count;
+                single += self_intersections(&points, &[[c, a, b], triangles[j]], &welded).unwrap().count;
             }
         }
         prop_assert_eq!(all.count, single);
@@ -179,7 +180,7 @@ proptest! {
     #[test]
     fn open_edges_are_what_is_missing(indices in prop::collection::vec([0u32..7, 0u32..7, 0u32..7], 1..30)) {
         let points: Vec<[f32; 3]> = (0..7u8).map(|i| [f32::from(i), f32::from(i * i), f32::from(i * i * i)]).collect();
-        let orientation = orient(&points, &indices, &weld(&points));
+        let orientation = orient(&points, &indices, &weld(&points)).unwrap();
         let mut balance = [[0i32; 7]; 7];
         let mut add = |from: u32, to: u32, by: i32| {
             balance[from as usize][to as usize] += by;
@@ -275,4 +276,11 @@ fn triangles_without_area_close_what_they_can() {
         triangles.push(flat);
         assert!(check(&(positions.clone(), triangles)).encloses(), "{flat:?}");
     }
+}
+
+#[test]
+fn missing_vertices_are_named() {
+    let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let named = Err(MeshError::Index { triangle: 1, vertex: 3, vertices: 3 });
+    assert_eq!(audit(&positions, &[[0, 1, 2], [0, 1, 3]]).map(|_| ()), named);
 }

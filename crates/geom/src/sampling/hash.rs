@@ -69,11 +69,4 @@ impl RandomStream {
     pub fn next_below(&mut self, bound: u32) -> u32 {
         ((u64::from(self.next_bits()) * u64::from(bound)) >> 32) as u32
     }
-
-    /// Puts `items` into a random order, every one equally likely (Fisher and Yates).
-    pub fn shuffle<T>(&mut self, items: &mut [T]) {
-        for i in (1..items.len().min(u32::MAX as usize)).rev() {
-            items.swap(i, self.next_below(i as u32 + 1) as usize);
-        }
-    }
 }

@@ -6,8 +6,7 @@ use glam::Vec2;
 /// `n` points in the half-open unit square, one at a random place in each of `n` cells of equal area, row by row.
 ///
 /// Cells are as square as `n` allows: `round(sqrt(n))` rows whose numbers of cells differ by at most one, each row as high
-/// as its share of the points. Any `n`; 0 gives none. The order makes successive points neighbours: where point `i` of one
-/// pattern is used together with point `i` of another, take [`stratified_shuffled`].
+/// as its share of the points. Any `n`; 0 gives none. The order makes successive points neighbours.
 pub fn stratified(n: u32, seed: u32) -> Vec<Vec2> {
     let mut random = RandomStream::new(seed, 0x57a7);
     let rows = (f64::from(n).sqrt().round() as u32).max(1);
@@ -23,12 +22,5 @@ pub fn stratified(n: u32, seed: u32) -> Vec<Vec2> {
             points.push(Vec2::new(x as f32, y as f32).min(Vec2::splat(ONE_MINUS)));
         }
     }
-    points
-}
-
-/// The points of [`stratified`] in a random order that depends on `seed`.
-pub fn stratified_shuffled(n: u32, seed: u32) -> Vec<Vec2> {
-    let mut points = stratified(n, seed);
-    RandomStream::new(seed, 0x5f0f).shuffle(&mut points);
     points
 }

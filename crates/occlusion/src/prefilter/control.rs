@@ -3,20 +3,21 @@
 //! A sample of receivers is answered exactly with many rays, and then with one setting after the other; the cheapest one that
 //! keeps the error wins. Cost is counted in steps of traversal, not timed, so that the choice is the same every time.
 
-use super::{ConeRay, PrefilterError, Prefiltered, Query};
+use super::{ConeQuery, ConeRay, Prefiltered};
+use crate::OcclusionError;
 use umbrage_accel::Statistics;
 
 /// Rays of the pilot's exact answers.
-const REFERENCE: u32 = 400;
+const REFERENCE_RAYS: u32 = 400;
 
 /// Thresholds tried, from fast to accurate.
 const THRESHOLDS: [f32; 5] = [0.05, 0.1, 0.2, 0.4, 0.8];
 
 /// Numbers of rays tried.
-const RAYS: [u32; 13] = [1, 2, 4, 6, 9, 12, 16, 25, 36, 49, 64, 100, 144];
+const RAY_COUNTS: [u32; 13] = [1, 2, 4, 6, 9, 12, 16, 25, 36, 49, 64, 100, 144];
 
 /// Steps that a ray costs before its first node.
-const PREPARATION: f64 = 3.0;
+const STEPS_OF_PREPARATION: f64 = 3.0;
 
 /// Work in steps: a node for all rays of a fan is one, a leaf for a ray, or a ray that ends at a node, half of one.
 #[derive(Default)]
@@ -31,16 +32,16 @@ impl Statistics for Steps {
         self.0 += 0.5;
     }
 
-    fn ends(&mut self, _: u32, _: u32) {
+    fn ended_at_node(&mut self, _: u32, _: u32) {
         self.0 += 0.5;
     }
 }
 
 /// What a pilot chose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plan {
+pub struct RayPlan {
     /// How to ask. Exact if no threshold reaches the target.
-    pub query: Query,
+    pub query: ConeQuery,
     /// Rays a receiver.
     pub rays: u32,
     /// RMSE of visibility that the pilot measured, without the error of its own reference.
@@ -63,18 +64,18 @@ impl Prefiltered {
     /// are what is returned, with the error that they have.
     ///
     /// # Errors
-    /// [`PrefilterError::Target`] if the target is not above 0 or there are no receivers.
+    /// [`OcclusionError::Target`] if the target is not above 0 or there are no receivers.
     pub fn plan(
         &self,
         target: f32,
         receivers: usize,
         mut fan: impl FnMut(usize, u32, u32, &mut Vec<ConeRay>),
-    ) -> Result<Plan, PrefilterError> {
+    ) -> Result<RayPlan, OcclusionError> {
         if target.is_nan() || target <= 0.0 || receivers == 0 {
-            return Err(PrefilterError::Target { target, receivers });
+            return Err(OcclusionError::Target { target, receivers });
         }
         let mut cones = Vec::new();
-        let mut mean = |receiver: usize, rays: u32, seed: u32, query: &Query, steps: &mut Steps| {
+        let mut mean = |receiver: usize, rays: u32, seed: u32, query: &ConeQuery, steps: &mut Steps| {
             cones.clear();
             fan(receiver, rays, seed, &mut cones);
             let mut passed = vec![1.0; cones.len()];
@@ -84,35 +85,35 @@ impl Prefiltered {
         let mut unused = Steps::default();
         // Two halves, whose difference is the reference's own error.
         let halves: Vec<[f64; 2]> = (0..receivers)
-            .map(|i| [1, 2].map(|seed| mean(i, REFERENCE / 2, seed, &Query::EXACT, &mut unused)))
+            .map(|i| [1, 2].map(|seed| mean(i, REFERENCE_RAYS / 2, seed, &ConeQuery::EXACT, &mut unused)))
             .collect();
         let own = halves.iter().map(|[a, b]| (0.5 * (a - b)).powi(2)).sum::<f64>() / receivers as f64;
-        let mut trial = |query: &Query, rays: u32| {
+        let mut trial = |query: &ConeQuery, rays: u32| {
             let mut steps = Steps::default();
             let squares: f64 = (0..receivers)
                 .map(|i| (mean(i, rays, 3, query, &mut steps) - 0.5 * (halves[i][0] + halves[i][1])).powi(2))
                 .sum();
             let error = (squares / receivers as f64 - own).max(0.0).sqrt();
-            Trial { error, steps: steps.0 / receivers as f64 + PREPARATION * f64::from(rays) }
+            Trial { error, steps: steps.0 / receivers as f64 + STEPS_OF_PREPARATION * f64::from(rays) }
         };
-        let mut best: Option<Plan> = None;
-        let queries = THRESHOLDS.map(|t| Query::new(t).expect("above 0"));
-        for query in queries.into_iter().chain([Query::EXACT]) {
-            for rays in RAYS {
+        let mut best: Option<RayPlan> = None;
+        let queries = THRESHOLDS.map(|t| ConeQuery::new(t).expect("above 0"));
+        for query in queries.into_iter().chain([ConeQuery::EXACT]) {
+            for rays in RAY_COUNTS {
                 let Trial { error, steps } = trial(&query, rays);
                 if best.is_some_and(|best| steps >= best.steps) {
                     break;
                 }
                 if error <= f64::from(target) {
-                    best = Some(Plan { query, rays, error: error as f32, steps });
+                    best = Some(RayPlan { query, rays, error: error as f32, steps });
                     break;
                 }
             }
         }
         Ok(best.unwrap_or_else(|| {
-            let rays = RAYS[RAYS.len() - 1];
-            let Trial { error, steps } = trial(&Query::EXACT, rays);
-            Plan { query: Query::EXACT, rays, error: error as f32, steps }
+            let rays = RAY_COUNTS[RAY_COUNTS.len() - 1];
+            let Trial { error, steps } = trial(&ConeQuery::EXACT, rays);
+            RayPlan { query: ConeQuery::EXACT, rays, error: error as f32, steps }
         }))
     }
 }

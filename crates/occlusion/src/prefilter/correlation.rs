@@ -3,13 +3,13 @@
 //! A node's opacity says nothing about where in the node light is blocked, so a wall cut into nodes would leak. The published
 //! remedy is one height below which no node ends rays. Here each connected surface has a *length*, how far apart its ends
 //! are along it, and a *width*, its area over that: a leaf's or a strand's width, however it curls, and a wall's height. A
-//! node may end rays only if its radius is [`WIDTHS`] times the largest width of any surface in it (for strands less,
-//! [`STRAND_WIDTHS`]): pieces of a wall, of whatever size, never are; strands and stems are as soon as they are thin against
+//! node may end rays only if its radius is [`RADIUS_IN_WIDTHS`] times the largest width of any surface in it (for strands less,
+//! [`RADIUS_IN_STRAND_WIDTHS`]): pieces of a wall, of whatever size, never are; strands and stems are as soon as they are thin against
 //! the node. Closed surfaces that are not much longer than wide hold light or keep it out and so are never given an opacity.
 //!
 //! Triangles are connected when they share the position of a vertex, so soups and indexed meshes are the same.
 
-use super::Correlation;
+use super::published::Correlation;
 use std::{
     collections::HashMap,
     hash::{BuildHasherDefault, Hasher},
@@ -21,16 +21,16 @@ use umbrage_geom::{
 };
 
 /// A node's radius over the widths of what is in it.
-const WIDTHS: f32 = 1.5;
+const RADIUS_IN_WIDTHS: f32 = 1.5;
 
 /// The same for strands.
-const STRAND_WIDTHS: f32 = 1.25;
+const RADIUS_IN_STRAND_WIDTHS: f32 = 1.25;
 
 /// Length over width from which a surface is on the way to a strand, and from which it is one.
-const STRAND: [f32; 2] = [6.0, 14.0];
+const STRAND_LENGTH_OVER_WIDTH: [f32; 2] = [6.0, 14.0];
 
 /// Closed surfaces whose width is more than this part of their length are solid.
-const SOLID: f32 = 0.25;
+const SOLID_WIDTH_OVER_LENGTH: f32 = 0.25;
 
 /// Hash of three coordinates, mixed as numbers.
 #[derive(Default)]
@@ -121,11 +121,17 @@ impl<'a> Graph<'a> {
 /// Radius that a node needs to end rays although it holds a surface.
 fn needed_radius(area: f32, length: f32, is_closed: bool) -> f32 {
     let width = if length > 0.0 { area / length } else { 0.0 };
-    if is_closed && width > SOLID * length {
+    if is_closed && width > SOLID_WIDTH_OVER_LENGTH * length {
         return f32::INFINITY;
     }
-    let slender = ((length - STRAND[0] * width) / ((STRAND[1] - STRAND[0]) * width)).clamp(0.0, 1.0);
-    if width > 0.0 { width * (WIDTHS + (STRAND_WIDTHS - WIDTHS) * slender) } else { 0.0 }
+    let slender = ((length - STRAND_LENGTH_OVER_WIDTH[0] * width)
+        / ((STRAND_LENGTH_OVER_WIDTH[1] - STRAND_LENGTH_OVER_WIDTH[0]) * width))
+        .clamp(0.0, 1.0);
+    if width > 0.0 {
+        width * (RADIUS_IN_WIDTHS + (RADIUS_IN_STRAND_WIDTHS - RADIUS_IN_WIDTHS) * slender)
+    } else {
+        0.0
+    }
 }
 
 /// The radius needed for each triangle.
@@ -270,7 +276,7 @@ mod tests {
         // As wide as a wall's length lets it be, at least.
         assert!(radii[..wall].iter().all(|&r| r == radii[0]));
         assert!((1.5..3.0).contains(&radii[0]), "{}", radii[0]);
-        assert!((radii[wall] - STRAND_WIDTHS * 0.05).abs() < 1e-3);
+        assert!((radii[wall] - RADIUS_IN_STRAND_WIDTHS * 0.05).abs() < 1e-3);
         assert!(radii[wall + 1..].iter().all(|&r| r == f32::INFINITY));
     }
 }

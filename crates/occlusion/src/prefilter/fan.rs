@@ -1,18 +1,19 @@
 //! A ray with a solid angle through the hierarchy (`[Lacewell08]`, Algorithm 1, by the node instead of by the box).
 //!
 //! Here: which children of a node end which rays of a fan, and what rays lose. Not here: the walk itself
-//! ([`Bvh::walk_fans`]), opacities (`opacity.rs`).
+//! ([`Bvh::walk_fans_with`]), opacities (`opacity.rs`).
 //!
 //! Departures: children are composited by adding optical depths; nothing is interpolated between levels, see
-//! [`super::Blend`]; a node crossed in part dims in part; the ray ends where 10 bits are lost.
+//! [`super::published::Blend`]; a node crossed in part dims in part; the ray ends where 10 bits are lost.
 
 use super::{
-    ConeRay, Directions, Query, SegmentEnds,
+    ConeQuery, ConeRay, Directions,
     depths::Depths,
+    published::SegmentEnds,
     query::Cones,
     storage::{Table, WIDTH},
 };
-use umbrage_accel::{Bvh, FAN, FanGoal, FanRay, Note, Statistics, WALKS};
+use umbrage_accel::{Bvh, FAN, FanGoal, FanRay, NodeNote, Statistics, WALKS};
 use umbrage_geom::{
     OpticalDepth, Ray,
     kernel::{BlockMask, LANES, TriangleBlock},
@@ -20,7 +21,7 @@ use umbrage_geom::{
 };
 
 /// Optical depth in bits from which an approximate ray counts as blocked: less than a thousandth is lost.
-const BLACK: f32 = 10.0;
+const BLOCKED_DEPTH: f32 = 10.0;
 
 /// Rays prepared at once.
 const CHUNK: usize = 8;
@@ -64,13 +65,13 @@ impl<V: Copy + Default> Fan<V> {
     }
 }
 
-/// Answers cones through [`Bvh::walk_fans`].
+/// Answers cones through [`Bvh::walk_fans_with`].
 pub(crate) struct Answer<'a, T: Table> {
     pub(crate) bvh: &'a Bvh,
     pub(crate) depths: &'a Depths,
     pub(crate) table: &'a T,
     pub(crate) directions: Directions,
-    pub(crate) query: &'a Query,
+    pub(crate) query: &'a ConeQuery,
     pub(crate) cones: &'a [ConeRay],
     pub(crate) passed: &'a mut [f32],
     fans: Vec<Fan<T::View>>,
@@ -80,7 +81,7 @@ impl<'a, T: Table> Answer<'a, T> {
     pub(crate) fn new(
         (bvh, depths, table): (&'a Bvh, &'a Depths, &'a T),
         directions: Directions,
-        query: &'a Query,
+        query: &'a ConeQuery,
         cones: &'a [ConeRay],
         passed: &'a mut [f32],
     ) -> Self {
@@ -90,7 +91,7 @@ impl<'a, T: Table> Answer<'a, T> {
     /// Walks all cones.
     pub(crate) fn run(mut self, stats: &mut impl Statistics) {
         let rays: Vec<Ray> = self.cones.iter().map(|cone| cone.ray).collect();
-        self.bvh.walk_fans(&rays, &mut self, stats);
+        self.bvh.walk_fans_with(&rays, &mut self, stats);
     }
 }
 
@@ -113,7 +114,7 @@ impl<T: Table> FanGoal for Answer<'_, T> {
                 fan.views[r] = self.table.view(cones.cells[i], cones.direction(i));
                 fan.stored[r] = 0.0;
                 // A ray that no node may end goes on until nothing at all is left.
-                fan.limit[r] = if kappa > 0.0 { BLACK } else { f32::INFINITY };
+                fan.limit[r] = if kappa > 0.0 { BLOCKED_DEPTH } else { f32::INFINITY };
                 fan.room[r] = fan.limit[r];
                 fan.exact[r] = OpticalDepth::CLEAR;
             }
@@ -121,7 +122,7 @@ impl<T: Table> FanGoal for Answer<'_, T> {
     }
 
     #[inline(always)]
-    fn end(&mut self, ray: FanRay, note: &Note, slots: u32, covered: &[f32; WIDTH]) -> bool {
+    fn end(&mut self, ray: FanRay, note: &NodeNote, slots: u32, covered: &[f32; WIDTH]) -> bool {
         let (fan, r) = (&mut self.fans[ray.walk], ray.column % FAN);
         let depths = self.table.depths(fan.views[r], note.index);
         let mut bits = [0f32; WIDTH];

@@ -1,12 +1,13 @@
 //! Prefiltered hierarchies placed several times: each is built once and shared.
 
-use super::{ConeRay, PrefilterError, Prefiltered, Query};
+use super::{ConeQuery, ConeRay, Prefiltered};
+use crate::OcclusionError;
 use std::{ops::ControlFlow, sync::Arc};
 use umbrage_accel::{InstancedBvh, Statistics};
 use umbrage_geom::{Ray, glam::DMat3};
 
 /// Transmittance that counts as none: 10 bits.
-const BLACK: f32 = 1.0 / 1024.0;
+const BLOCKED_TRANSMITTANCE: f32 = 1.0 / 1024.0;
 
 /// Instances of prefiltered hierarchies, found by the top level of an [`InstancedBvh`].
 ///
@@ -24,15 +25,15 @@ impl<'a> PrefilteredInstances<'a> {
     /// [`umbrage_accel::Bvh`]. Several hierarchies may be over the same triangles with other opacities.
     ///
     /// # Errors
-    /// [`PrefilterError::InstanceCount`], [`PrefilterError::Hierarchy`].
+    /// [`OcclusionError::InstanceCount`], [`OcclusionError::Hierarchy`].
     pub fn new(
         top: &'a InstancedBvh,
         scenes: Vec<Arc<Prefiltered>>,
         of_instance: &[u32],
-    ) -> Result<Self, PrefilterError> {
+    ) -> Result<Self, OcclusionError> {
         let (count, instances) = (of_instance.len(), top.instance_count());
         if count != instances {
-            return Err(PrefilterError::InstanceCount { count, instances });
+            return Err(OcclusionError::InstanceCount { count, instances });
         }
         let instance = |(instance, &hierarchy): (usize, &u32)| {
             let (bvh, map) = top.instance(instance as u32);
@@ -40,7 +41,7 @@ impl<'a> PrefilteredInstances<'a> {
                 Some(scene) if scene.prim_count() == bvh.prim_count() => {
                     Ok((hierarchy, DMat3::determinant(&map.matrix3).abs()))
                 }
-                _ => Err(PrefilterError::Hierarchy { instance, hierarchy }),
+                _ => Err(OcclusionError::Hierarchy { instance, hierarchy }),
             }
         };
         let instances = of_instance.iter().enumerate().map(instance).collect::<Result<_, _>>()?;
@@ -49,13 +50,17 @@ impl<'a> PrefilteredInstances<'a> {
 
     /// Fraction of light that passes along `ray`, in `[0, 1]`: the product over instances, 0 below 2^-10 if `query` is not
     /// exact.
-    pub fn transmittance(&self, ray: &ConeRay, query: &Query) -> f32 {
+    pub fn transmittance(&self, ray: &ConeRay, query: &ConeQuery) -> f32 {
         self.transmittance_with(ray, query, &mut ())
     }
 
     /// [`Self::transmittance`], counted.
-    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl Statistics) -> f32 {
-        let black = if query.threshold() < f32::INFINITY && ray.solid_angle > 0.0 { BLACK } else { 0.0 };
+    pub fn transmittance_with(&self, ray: &ConeRay, query: &ConeQuery, stats: &mut impl Statistics) -> f32 {
+        let black = if query.threshold() < f32::INFINITY && ray.solid_angle > 0.0 {
+            BLOCKED_TRANSMITTANCE
+        } else {
+            0.0
+        };
         let mut passed = 1.0;
         // Two borrows of the statistics: the top level counts apart.
         let mut top = umbrage_accel::Counters::default();

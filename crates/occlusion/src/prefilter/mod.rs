@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use umbrage_geom::Ray;
-//! use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilterOptions, Query};
+//! use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilterOptions, ConeQuery};
 //!
 //! // Loose flakes, one above the other, each of which blocks half of the light.
 //! let positions: Vec<[f32; 3]> = (0..300)
@@ -18,9 +18,9 @@
 //! let triangles: Vec<[u32; 3]> = (0..300).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
 //! let scene = Prefiltered::build(&positions, &triangles, &[0.5], &PrefilterOptions::default(), &mut |_| true)?;
 //! let ray = ConeRay { ray: Ray::new([5.0, 15.0, -900.0], [0.0, 0.0, 1.0]), solid_angle: 0.01 };
-//! let passed = scene.transmittance(&ray, &Query::new(0.2)?);
+//! let passed = scene.transmittance(&ray, &ConeQuery::new(0.2)?);
 //! assert!((0.0..=1.0).contains(&passed));
-//! # Ok::<(), umbrage_occlusion::prefilter::PrefilterError>(())
+//! # Ok::<(), umbrage_occlusion::OcclusionError>(())
 //! ```
 
 pub mod published;
@@ -29,7 +29,6 @@ mod control;
 mod correlation;
 mod depths;
 mod directions;
-mod error;
 mod fan;
 mod instances;
 mod opacity;
@@ -38,9 +37,8 @@ mod prefiltered;
 mod query;
 mod storage;
 
-pub use control::Plan;
+pub use control::RayPlan;
 pub use directions::Directions;
-pub use error::PrefilterError;
 pub use instances::PrefilteredInstances;
-pub use options::{Blend, CellSampling, Correlation, PrefilterOptions, Query, SegmentEnds, Storage};
-pub use prefiltered::{Bytes, ConeRay, Prefiltered};
+pub use options::{ConeQuery, PrefilterOptions};
+pub use prefiltered::{ConeRay, Prefiltered, PrefilteredBytes};

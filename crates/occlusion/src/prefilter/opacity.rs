@@ -9,9 +9,10 @@
 //! the cell of directions. Eight lines go together, a lane each.
 
 use super::{
-    CellSampling, Directions, PrefilterOptions,
+    Directions, PrefilterOptions,
     depths::Depths,
     fan::mark,
+    published::CellSampling,
     storage::{Cells, Cube, OPAQUE, WIDTH},
 };
 use umbrage_accel::{Bvh, Child, View};
@@ -32,7 +33,7 @@ const LINES: usize = 8;
 type Lanes = [f32; LINES];
 
 /// Smallest component of a direction: its inverse times any size is finite.
-const LEAST: f32 = 1e-9;
+const MIN_COMPONENT: f32 = 1e-9;
 
 /// Directions of a cell, with where lines cross the silhouette before the node's own rotation.
 struct Batch {
@@ -62,7 +63,7 @@ impl Lines {
                         CellSampling::Center => directions.center(cell),
                     };
                     for axis in 0..3 {
-                        let x = direction[axis].abs().max(LEAST).copysign(direction[axis]);
+                        let x = direction[axis].abs().max(MIN_COMPONENT).copysign(direction[axis]);
                         batch.direction[axis][lane] = x;
                         batch.inverse[axis][lane] = 1.0 / x;
                     }
@@ -97,11 +98,11 @@ fn one_if(x: bool) -> f32 {
 #[inline(always)]
 fn dimmed(x: f32) -> f32 {
     /// Adding it rounds to a whole number, which is then in the lowest bits.
-    const ROUND: f32 = (3u32 << 22) as f32;
+    const ROUND_TO_WHOLE: f32 = (3u32 << 22) as f32;
     let x = smaller(x, 126.0);
-    let rounded = x + ROUND;
-    let whole = rounded.to_bits().wrapping_sub(ROUND.to_bits());
-    let y = ((rounded - ROUND) - x) * std::f32::consts::LN_2;
+    let rounded = x + ROUND_TO_WHOLE;
+    let whole = rounded.to_bits().wrapping_sub(ROUND_TO_WHOLE.to_bits());
+    let y = ((rounded - ROUND_TO_WHOLE) - x) * std::f32::consts::LN_2;
     let series = 1.0 + y * (1.0 + y * (1.0 / 2.0 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y / 120.0))));
     series * f32::from_bits(127u32.wrapping_sub(whole) << 23)
 }
@@ -355,13 +356,13 @@ pub(crate) fn measure<T: Cells>(
 }
 
 /// Smallest share of its size that a node may count with.
-const LEAST_SHARE: f32 = 0.3;
+const MIN_SIZE_SHARE: f32 = 0.3;
 
 /// Share of its squared radius that a node counts with: the variance of what passes through it, over the largest there is.
 /// Where nearly nothing or nearly all passes, a ray may end sooner.
 fn share(opacities: &[f32]) -> f32 {
     let sum: f32 = opacities.iter().map(|a| a * (1.0 - a)).sum();
-    (4.0 * sum / opacities.len() as f32).max(LEAST_SHARE)
+    (4.0 * sum / opacities.len() as f32).max(MIN_SIZE_SHARE)
 }
 
 /// Opacities by the ad-hoc formula from cross sections of bounding spheres (section 4.4), over all children at once.

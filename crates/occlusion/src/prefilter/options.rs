@@ -1,74 +1,11 @@
 //! What can be chosen when a hierarchy is prefiltered and when it is asked.
 
-use super::{Directions, PrefilterError};
+use super::{
+    Directions,
+    published::{Blend, CellSampling, Correlation, SegmentEnds, Storage},
+};
+use crate::OcclusionError;
 use umbrage_accel::BuildQuality;
-
-/// Which nodes may end rays.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum Correlation {
-    /// Nodes that are wide against every connected surface in them: no setting, see `correlation.rs`.
-    Automatic,
-    /// Nodes above one height everywhere, as published: leaves have height 0, others the mean of their children plus 1.
-    Height(f32),
-}
-
-/// Directions in which opacity is measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum CellSampling {
-    /// All over the cell.
-    #[default]
-    Jittered,
-    /// Its centre, as published. Some centres are axes, along which boxes have their smallest silhouettes: darker.
-    Center,
-}
-
-/// How opacities are stored (`[Lacewell08]`, section 4.4).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Storage {
-    /// Cube map of `f32`.
-    CubeF32,
-    /// Cube map of bytes: square roots of optical depths up to 12 bits.
-    CubeU8,
-    /// Cube map of half bytes, rounded at random.
-    #[default]
-    CubeU4,
-    /// Spherical harmonics of bands 0 and 2, six bytes. Odd bands are 0, since opposite directions see the same.
-    Harmonics2,
-    /// Bands 0, 2 and 4, fifteen bytes.
-    Harmonics4,
-    /// The mean over directions, one byte ("DC").
-    Average,
-    /// The published ad-hoc formula from areas of bounding spheres, one byte.
-    SphereArea,
-}
-
-impl Storage {
-    /// All forms.
-    pub const ALL: [Self; 7] = [
-        Self::CubeF32,
-        Self::CubeU8,
-        Self::CubeU4,
-        Self::Harmonics4,
-        Self::Harmonics2,
-        Self::Average,
-        Self::SphereArea,
-    ];
-
-    /// A name for tables and command lines.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::CubeF32 => "cube-f32",
-            Self::CubeU8 => "cube-u8",
-            Self::CubeU4 => "cube-u4",
-            Self::Harmonics2 => "sh2",
-            Self::Harmonics4 => "sh4",
-            Self::Average => "dc",
-            Self::SphereArea => "sphere-area",
-        }
-    }
-}
 
 /// Options of [`super::Prefiltered::build`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,21 +40,15 @@ impl Default for PrefilterOptions {
 }
 
 /// `value` if it is within `least..=most`.
-pub(crate) fn within(what: &'static str, value: f64, least: f64, most: f64) -> Result<(), PrefilterError> {
+pub(crate) fn within(what: &'static str, value: f64, least: f64, most: f64) -> Result<(), OcclusionError> {
     if value >= least && value <= most {
         Ok(())
     } else {
-        Err(PrefilterError::Setting { what, value, least, most })
+        Err(OcclusionError::Setting { what, value, least, most })
     }
 }
 
 impl PrefilterOptions {
-    /// Sets [`Self::correlation`].
-    #[must_use]
-    pub fn with_correlation(self, correlation: Correlation) -> Self {
-        Self { correlation, ..self }
-    }
-
     /// Sets [`Self::directions`].
     #[must_use]
     pub fn with_directions(self, directions: u8) -> Self {
@@ -130,18 +61,6 @@ impl PrefilterOptions {
         Self { lines, ..self }
     }
 
-    /// Sets [`Self::sampling`].
-    #[must_use]
-    pub fn with_sampling(self, sampling: CellSampling) -> Self {
-        Self { sampling, ..self }
-    }
-
-    /// Sets [`Self::storage`].
-    #[must_use]
-    pub fn with_storage(self, storage: Storage) -> Self {
-        Self { storage, ..self }
-    }
-
     /// Sets [`Self::quality`].
     #[must_use]
     pub fn with_quality(self, quality: BuildQuality) -> Self {
@@ -151,12 +70,12 @@ impl PrefilterOptions {
     /// Checks ranges; returns the cells.
     ///
     /// # Errors
-    /// [`PrefilterError::CorrelationHeight`], [`PrefilterError::Setting`].
-    pub fn validate(&self) -> Result<Directions, PrefilterError> {
+    /// [`OcclusionError::CorrelationHeight`], [`OcclusionError::Setting`].
+    pub fn validate(&self) -> Result<Directions, OcclusionError> {
         if let Correlation::Height(height) = self.correlation
             && !(height >= 0.0 && height.is_finite())
         {
-            return Err(PrefilterError::CorrelationHeight(height));
+            return Err(OcclusionError::CorrelationHeight(height));
         }
         let most = f64::from(Directions::MOST);
         within("number of directions along a face", self.directions.into(), 1.0, most)?;
@@ -165,43 +84,22 @@ impl PrefilterOptions {
     }
 }
 
-/// What becomes of a node that fits the cone but that the segment does not cross from side to side.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SegmentEnds {
-    /// It dims by the crossed fraction of its optical depth.
-    #[default]
-    Fraction,
-    /// It dims as if crossed, as published: too dark.
-    Whole,
-}
-
-/// How opacities of neighbouring levels and directions are blended.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Blend {
-    /// At random: each ray has a threshold up to twice larger or smaller, and a direction moved by up to an eighth of a cell.
-    /// The mean over rays is that of interpolation (between directions only near the borders of cells), at no cost.
-    #[default]
-    Random,
-    /// Not at all: the nearest direction, and one threshold.
-    None,
-}
-
 /// How rays are answered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
-pub struct Query {
+pub struct ConeQuery {
     /// `T`: a ray ends at a node when its solid angle is more than `T` times that of the node's bounding sphere. Smaller is
     /// faster, smoother and less accurate; infinite is exact.
     threshold: f32,
     /// Largest angle at which a node may end a ray, as radius over distance.
-    pub widest: f32,
+    pub(super) widest: f32,
     /// What happens at the ends of segments.
     pub ends: SegmentEnds,
     /// Blending.
     pub blend: Blend,
 }
 
-impl Query {
+impl ConeQuery {
     /// Exact answers: no node ends a ray.
     pub const EXACT: Self = Self {
         threshold: f32::INFINITY,
@@ -209,18 +107,18 @@ impl Query {
         ends: SegmentEnds::Fraction,
         blend: Blend::Random,
     };
-    /// The default of [`Self::widest`].
+    /// The default of [`Self::with_widest`].
     pub const WIDEST: f32 = 0.35;
 
     /// A query with threshold `T`.
     ///
     /// # Errors
-    /// [`PrefilterError::Threshold`] if it is not above 0.
-    pub fn new(threshold: f32) -> Result<Self, PrefilterError> {
+    /// [`OcclusionError::Threshold`] if it is not above 0.
+    pub fn new(threshold: f32) -> Result<Self, OcclusionError> {
         if threshold > 0.0 {
             Ok(Self { threshold, ..Self::EXACT })
         } else {
-            Err(PrefilterError::Threshold(threshold))
+            Err(OcclusionError::Threshold(threshold))
         }
     }
 
@@ -229,21 +127,12 @@ impl Query {
         self.threshold
     }
 
-    /// Sets [`Self::widest`]; NaN and values below 0 count as 0, which is exact.
-    #[must_use]
-    pub fn with_widest(self, widest: f32) -> Self {
-        Self { widest: widest.max(0.0), ..self }
-    }
-
-    /// Sets [`Self::ends`].
-    #[must_use]
-    pub fn with_ends(self, ends: SegmentEnds) -> Self {
-        Self { ends, ..self }
-    }
-
-    /// Sets [`Self::blend`].
-    #[must_use]
-    pub fn with_blend(self, blend: Blend) -> Self {
-        Self { blend, ..self }
+    /// Sets the largest angle at which a node may end a ray, as radius over distance; 0 is exact.
+    ///
+    /// # Errors
+    /// [`OcclusionError::Setting`] for NaN and values below 0.
+    pub fn with_widest(self, widest: f32) -> Result<Self, OcclusionError> {
+        within("widest angle", widest.into(), 0.0, f64::INFINITY)?;
+        Ok(Self { widest, ..self })
     }
 }

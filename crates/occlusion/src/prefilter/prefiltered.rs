@@ -1,14 +1,16 @@
 //! The hierarchy that callers hold: build, refit, queries.
 
 use super::{
-    Correlation, Directions, PrefilterError, PrefilterOptions, Query, Storage,
+    ConeQuery, Directions, PrefilterOptions,
     correlation::may_stop,
     depths::Depths,
     fan::Answer,
     opacity::{levels, measure, sphere_areas},
+    published::Storage,
     storage::{Cube, Harmonics, Stored, averages, with_table},
 };
-use umbrage_accel::{BuildError, BuildOptions, Bvh, Note, Statistics};
+use crate::OcclusionError;
+use umbrage_accel::{BuildError, BuildOptions, Bvh, NodeNote, Statistics};
 use umbrage_geom::{Aabb, Progress, Ray, mesh::validate_slices};
 
 /// A ray that stands for a bundle of directions.
@@ -22,7 +24,7 @@ pub struct ConeRay {
 
 /// Memory of a prefiltered hierarchy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Bytes {
+pub struct PrefilteredBytes {
     /// Nodes, leaves and indices: what exact queries need.
     pub hierarchy: usize,
     /// Opacities, and which nodes may have one.
@@ -33,7 +35,7 @@ pub struct Bytes {
 
 /// A [`Bvh`] with a directional opacity in every node that may end rays.
 ///
-/// Approximate unless asked with [`Query::EXACT`], or for rays of solid angle 0: those answers are the bits of
+/// Approximate unless asked with [`ConeQuery::EXACT`], or for rays of solid angle 0: those answers are the bits of
 /// [`Bvh::transmittance`]. Results don't depend on the number of threads.
 ///
 /// # Source
@@ -48,12 +50,12 @@ pub struct Prefiltered {
     options: PrefilterOptions,
 }
 
-fn check_opacity(opacity: &[f32], triangles: usize) -> Result<(), PrefilterError> {
+fn check_opacity(opacity: &[f32], triangles: usize) -> Result<(), OcclusionError> {
     if opacity.len() != 1 && opacity.len() != triangles {
-        return Err(PrefilterError::OpacityCount { count: opacity.len(), triangles });
+        return Err(OcclusionError::OpacityCount { count: opacity.len(), triangles });
     }
     match opacity.iter().position(|a| !(0.0..=1.0).contains(a)) {
-        Some(index) => Err(PrefilterError::Opacity { index, value: opacity[index] }),
+        Some(index) => Err(OcclusionError::Opacity { index, value: opacity[index] }),
         None => Ok(()),
     }
 }
@@ -64,16 +66,16 @@ impl Prefiltered {
     /// to cancel.
     ///
     /// # Errors
-    /// [`PrefilterError::Mesh`] as from [`validate_slices`], an empty mesh among them; [`PrefilterError::Opacity`],
-    /// [`PrefilterError::OpacityCount`]; those of [`PrefilterOptions::validate`]; [`PrefilterError::Build`];
-    /// [`PrefilterError::Cancelled`].
+    /// [`OcclusionError::Mesh`] as from [`validate_slices`], an empty mesh among them; [`OcclusionError::Opacity`],
+    /// [`OcclusionError::OpacityCount`]; those of [`PrefilterOptions::validate`]; [`OcclusionError::Build`];
+    /// [`OcclusionError::Cancelled`].
     pub fn build(
         positions: &[[f32; 3]],
         triangles: &[[u32; 3]],
         opacity: &[f32],
         options: &PrefilterOptions,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<Self, PrefilterError> {
+    ) -> Result<Self, OcclusionError> {
         let directions = options.validate()?;
         validate_slices(positions, triangles)?;
         check_opacity(opacity, triangles.len())?;
@@ -91,17 +93,17 @@ impl Prefiltered {
     /// it was: that follows from what is connected, and from sizes at the build.
     ///
     /// # Errors
-    /// [`PrefilterError::Build`] unless there are as many `positions` as at the build; [`PrefilterError::Mesh`] for
-    /// coordinates as from [`umbrage_geom::mesh::validate_positions`]. Nothing has moved then. [`PrefilterError::Cancelled`]: vertices have
+    /// [`OcclusionError::Build`] unless there are as many `positions` as at the build; [`OcclusionError::Mesh`] for
+    /// coordinates as from [`umbrage_geom::mesh::validate_positions`]. Nothing has moved then. [`OcclusionError::Cancelled`]: vertices have
     /// moved, opacities have not; answers other than exact ones mean nothing until another refit succeeds.
     pub fn refit(
         &mut self,
         positions: &[[f32; 3]],
         progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<(), PrefilterError> {
+    ) -> Result<(), OcclusionError> {
         self.bvh.refit(positions).map_err(|error| match error {
-            BuildError::Mesh(error) => PrefilterError::Mesh(error),
-            error => PrefilterError::Build(error),
+            BuildError::Mesh(error) => OcclusionError::Mesh(error),
+            error => OcclusionError::Build(error),
         })?;
         let view = self.bvh.view();
         let mask = |node: u32| {
@@ -116,12 +118,12 @@ impl Prefiltered {
     }
 
     /// Fraction of light that passes along `ray`, in `[0, 1]`.
-    pub fn transmittance(&self, ray: &ConeRay, query: &Query) -> f32 {
+    pub fn transmittance(&self, ray: &ConeRay, query: &ConeQuery) -> f32 {
         self.transmittance_with(ray, query, &mut ())
     }
 
     /// [`Self::transmittance`], counted.
-    pub fn transmittance_with(&self, ray: &ConeRay, query: &Query, stats: &mut impl Statistics) -> f32 {
+    pub fn transmittance_with(&self, ray: &ConeRay, query: &ConeQuery, stats: &mut impl Statistics) -> f32 {
         let mut passed = [1.0];
         self.answer(std::slice::from_ref(ray), query, &mut passed, stats);
         passed[0]
@@ -131,7 +133,7 @@ impl Prefiltered {
     ///
     /// # Panics
     /// If the slices differ in length.
-    pub fn transmittances(&self, rays: &[ConeRay], query: &Query, passed: &mut [f32]) {
+    pub fn transmittances(&self, rays: &[ConeRay], query: &ConeQuery, passed: &mut [f32]) {
         assert_eq!(rays.len(), passed.len(), "as many answers as rays");
         #[cfg(feature = "rayon")]
         {
@@ -150,7 +152,7 @@ impl Prefiltered {
     pub fn transmittances_with(
         &self,
         rays: &[ConeRay],
-        query: &Query,
+        query: &ConeQuery,
         passed: &mut [f32],
         stats: &mut impl Statistics,
     ) {
@@ -158,7 +160,7 @@ impl Prefiltered {
         self.answer(rays, query, passed, stats);
     }
 
-    fn answer(&self, rays: &[ConeRay], query: &Query, passed: &mut [f32], stats: &mut impl Statistics) {
+    fn answer(&self, rays: &[ConeRay], query: &ConeQuery, passed: &mut [f32], stats: &mut impl Statistics) {
         with_table!(&self.stored, table => {
             Answer::new((&self.bvh, &self.depths, table), self.directions, query, rays, passed).run(stats);
         });
@@ -179,7 +181,7 @@ impl Prefiltered {
         self.bvh.prim_count()
     }
 
-    /// Nodes by level, the root's first: what [`Statistics::ends`] names.
+    /// Nodes by level, the root's first: what [`Statistics::ended_at_node`] names.
     pub fn levels(&self) -> Vec<Vec<u32>> {
         levels(&self.bvh)
     }
@@ -190,8 +192,8 @@ impl Prefiltered {
     }
 
     /// Memory it holds.
-    pub fn bytes(&self) -> Bytes {
-        Bytes {
+    pub fn bytes(&self) -> PrefilteredBytes {
+        PrefilteredBytes {
             hierarchy: self.bvh.bytes(),
             opacities: self.stored.bytes(),
             triangle_opacities: self.depths.bytes(),
@@ -214,7 +216,7 @@ impl Prefiltered {
 fn place_rows(bvh: &mut Bvh, masks: &[u8]) -> usize {
     let mut slots = 0u32;
     for (node, mask) in masks.iter().enumerate() {
-        bvh.set_note(node as u32, Note { index: slots, marks: [0; 8] });
+        bvh.set_note(node as u32, NodeNote { index: slots, marks: [0; 8] });
         slots += (u8::BITS - mask.leading_zeros()).next_multiple_of(2);
     }
     slots as usize
@@ -228,7 +230,7 @@ fn stored(
     masks: &[u8],
     options: &PrefilterOptions,
     progress: &Progress,
-) -> Result<Stored, PrefilterError> {
+) -> Result<Stored, OcclusionError> {
     let rows = (masks, place_rows(bvh, masks));
     Ok(match options.storage {
         Storage::CubeU4 => Stored::U4(measure(bvh, depths, directions, rows, options, progress)?),
@@ -244,10 +246,4 @@ fn stored(
             }
         }
     })
-}
-
-/// The correlation height of [`PrefilterOptions`] that lets every node end rays.
-impl Correlation {
-    /// Every node may end rays, single triangles excepted.
-    pub const ANYWHERE: Self = Self::Height(0.0);
 }

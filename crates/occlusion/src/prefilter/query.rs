@@ -1,6 +1,6 @@
 //! From rays with solid angles to what a walk needs of them, several at a time.
 
-use super::{Blend, ConeRay, Directions, Query};
+use super::{ConeQuery, ConeRay, Directions, published::Blend};
 use umbrage_geom::{
     glam::Vec3,
     sampling::{hash, unit},
@@ -22,7 +22,7 @@ pub(crate) struct Cones<const N: usize> {
 impl<const N: usize> Cones<N> {
     /// The first `N` of `cones`.
     #[inline(always)]
-    pub(crate) fn new(query: &Query, directions: Directions, cones: &[ConeRay]) -> Self {
+    pub(crate) fn new(query: &ConeQuery, directions: Directions, cones: &[ConeRay]) -> Self {
         let (mut d, mut angle) = ([[0f32; N]; 3], [0f32; N]);
         let mut bits = [0u32; N];
         for (i, cone) in cones.iter().take(N).enumerate() {

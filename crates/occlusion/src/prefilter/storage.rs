@@ -66,17 +66,17 @@ impl Element for f32 {
 }
 
 /// Largest optical depth that bytes can say, in bits; a sum beyond 10 counts as opaque.
-const DEEPEST: f32 = 12.0;
+const MAX_BYTE_DEPTH: f32 = 12.0;
 
 impl Element for u8 {
     fn encode(opacity: f32) -> Self {
-        (255.0 * (depth_of(opacity) / DEEPEST).sqrt()).round() as Self
+        (255.0 * (depth_of(opacity) / MAX_BYTE_DEPTH).sqrt()).round() as Self
     }
 
     #[inline(always)]
     fn depth(self) -> f32 {
         let x = f32::from(self);
-        x * x * (DEEPEST / (255.0 * 255.0))
+        x * x * (MAX_BYTE_DEPTH / (255.0 * 255.0))
     }
 }
 
@@ -144,14 +144,14 @@ pub(crate) struct Halves {
 }
 
 /// Depth of half byte 1, bits; that of others grows by squares.
-const HALF: f32 = 8.0 / 196.0;
+const DEPTH_OF_HALF_BYTE_1: f32 = 8.0 / 196.0;
 
 /// Optical depth of a half byte, bits: squares up to 8, and then opaque.
 #[inline(always)]
 fn half_depth(x: f32) -> f32 {
     // Without a selection, which would become a branch: 15 is 1 more than 14.
     let last = if x > 14.0 { x - 14.0 } else { 0.0 };
-    x * x * HALF + last * OPAQUE
+    x * x * DEPTH_OF_HALF_BYTE_1 + last * OPAQUE
 }
 
 impl Halves {
@@ -221,7 +221,7 @@ pub(crate) struct Harmonics<const N: usize> {
 }
 
 /// Largest coefficient that a byte can say: that of opacity 1 everywhere is `2 sqrt(pi)`.
-const LARGEST: f32 = 3.6;
+const MAX_BYTE_COEFFICIENT: f32 = 3.6;
 
 /// Real spherical harmonics of bands 0, 2 and 4 at a unit vector.
 pub(crate) fn basis(d: Vec3) -> [f32; 15] {
@@ -272,7 +272,7 @@ impl<const N: usize> Harmonics<N> {
                 sums.iter_mut().zip(basis).for_each(|(sum, y)| *sum += weight * y * opacity * scale);
             }
             for (k, sum) in sums.into_iter().enumerate() {
-                let coded = (sum * (127.0 / LARGEST)).round().clamp(-127.0, 127.0);
+                let coded = (sum * (127.0 / MAX_BYTE_COEFFICIENT)).round().clamp(-127.0, 127.0);
                 coefficients[k * cube.slots + slot] = coded as i8;
             }
         }
@@ -290,7 +290,7 @@ impl<const N: usize> Table for Harmonics<N> {
     #[inline(always)]
     fn view(&self, _: u32, direction: Vec3) -> Weights<N> {
         let basis = basis(direction.normalize_or_zero());
-        Weights(std::array::from_fn(|i| basis[i] * (LARGEST / 127.0)))
+        Weights(std::array::from_fn(|i| basis[i] * (MAX_BYTE_COEFFICIENT / 127.0)))
     }
 
     #[inline(always)]

@@ -1,6 +1,6 @@
 //! The occluder cache: the last opaque cells that ended rays to a light (Djeu11, section 3.5).
 
-use super::BoxPack;
+use super::boxes::BoxPack;
 use umbrage_geom::{Aabb, SlabRay};
 
 /// Boxes that a light keeps (Djeu11, section 3.5).

@@ -1,7 +1,7 @@
 //! Few large boxes inside of a generator, from its voxels.
 
 use super::{
-    BoxPack,
+    boxes::BoxPack,
     voxels::{Voxel, Voxels},
 };
 use umbrage_geom::{Aabb, Ray, SlabRay, glam::Vec3, sampling::RandomStream};

@@ -8,16 +8,16 @@ use umbrage_accel::{KdTree, kdtree::LeafState};
 use umbrage_geom::Aabb;
 
 /// Most boxes that are grown.
-const MOST: usize = 256;
+const MAX_GROWN_BOXES: usize = 256;
 
 /// Opaque cells for each box that is grown, which takes about as long as classifying four.
-const CELLS: usize = 32;
+const CELLS_PER_BOX: usize = 32;
 
 /// Cells that are tried for each box, the largest first.
-const TRIED: usize = 16;
+const TRIED_CELLS_PER_BOX: usize = 16;
 
 /// Least area of a cell that is tried, relative to the largest.
-const LEAST: f32 = 1e-3;
+const MIN_CELL_AREA: f32 = 1e-3;
 
 /// Orders of axes in which a box grows; the largest result counts.
 const AXES: [[usize; 3]; 3] = [[0, 1, 2], [1, 2, 0], [2, 0, 1]];
@@ -28,15 +28,15 @@ pub(super) fn grow(tree: &KdTree, mut cells: Vec<Aabb>) -> (Vec<Aabb>, Vec<u32>)
     let count = cells.len();
     let mut remembered: Vec<u32> = (0..count as u32).collect();
     let mut order = remembered.clone();
-    let most = (count / CELLS).min(MOST);
-    let tried = TRIED * most;
+    let most = (count / CELLS_PER_BOX).min(MAX_GROWN_BOXES);
+    let tried = TRIED_CELLS_PER_BOX * most;
     let by_area = |a: &u32, b: &u32| cells[*b as usize].area().total_cmp(&cells[*a as usize].area());
     if count > tried {
         order.select_nth_unstable_by(tried, by_area);
         order.truncate(tried);
     }
     order.sort_unstable_by(by_area);
-    let least = order.first().map_or(0.0, |&slot| LEAST * cells[slot as usize].area());
+    let least = order.first().map_or(0.0, |&slot| MIN_CELL_AREA * cells[slot as usize].area());
     for slot in order {
         if cells.len() - count == most || cells[slot as usize].area() < least {
             break;

@@ -1,12 +1,17 @@
 //! Shadow rays through a kd-tree whose opaque cells end them.
 
 use super::{
-    BoxPack, Classifier, Ends, Object, OccluderCache, SolidOptions, Solids, Statistics, classify,
+    Ends, ObjectMesh, SolidOptions, Solids,
+    boxes::BoxPack,
+    cache::OccluderCache,
+    classify::{Classifier, classify},
     ends::{is_outside, region_is_outside},
     grown,
+    object_mesh::unique_id,
 };
+use crate::OcclusionError;
 use umbrage_accel::{
-    BackEnd, BuildError, KdTree,
+    BackEnd, BuildError, KdTree, Statistics,
     kdtree::{Blocker, Cells, KdOptions, KdScratch, Order, Start},
 };
 use umbrage_geom::{Aabb, Ray, SlabRay};
@@ -58,17 +63,31 @@ pub struct KdVolumetric {
     /// Boxes around generators, at most [`GROUPS`].
     groups: Vec<Aabb>,
     group_pack: BoxPack<GROUPS>,
+    /// See [`unique_id`].
+    id: u64,
 }
 
-/// What a thread needs to trace rays: lists of nodes and a cache for each light.
+/// What a thread needs to trace rays: lists of nodes and a cache for each light. With another [`KdVolumetric`] than before, caches
+/// start anew.
 #[derive(Clone, Debug, Default)]
-pub struct Scratch {
+pub struct KdVolumetricScratch {
     single: KdScratch<1>,
     packet: KdScratch<4>,
     caches: Vec<OccluderCache>,
+    /// [`KdVolumetric::id`] of the caches; 0 before the first ray.
+    id: u64,
 }
 
-impl Scratch {
+impl KdVolumetricScratch {
+    /// Forgets what belongs to another tree.
+    #[inline]
+    fn belong_to(&mut self, id: u64) {
+        if self.id != id {
+            self.caches.clear();
+            self.id = id;
+        }
+    }
+
     /// The cache of `light`, made when first asked for.
     fn cache(caches: &mut Vec<OccluderCache>, light: usize) -> &mut OccluderCache {
         if caches.len() <= light {
@@ -81,7 +100,7 @@ impl Scratch {
 /// How rays are traced; answers don't depend on it, but [`Ends::Outside`] must be true.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Query {
+pub struct KdQuery {
     /// The traversal order.
     pub order: Order,
     /// What is known of the ends.
@@ -94,14 +113,14 @@ pub struct Query {
     pub guided: bool,
 }
 
-impl Default for Query {
+impl Default for KdQuery {
     /// [`Order::QUICK`] without a cache.
     fn default() -> Self {
         Self { order: Order::QUICK, ends: Ends::Unknown, light: None, occluders: true, guided: false }
     }
 }
 
-impl Query {
+impl KdQuery {
     /// With another order.
     #[must_use]
     pub fn with_order(self, order: Order) -> Self {
@@ -137,61 +156,47 @@ impl Query {
 }
 
 impl KdVolumetric {
-    /// Builds the tree over all triangles, finds the generators among `objects` (the whole mesh if there are none) and
-    /// classifies the empty cells.
+    /// Builds the tree over all triangles, finds the generators among the objects and classifies the empty cells. `progress` is
+    /// called with numbers that grow to 1 and cancels by returning `false`.
     ///
     /// # Errors
-    /// As [`KdTree::build`].
-    ///
-    /// # Panics
-    /// If an object names triangles that don't exist.
+    /// Those of [`Solids::find`] and [`KdTree::build_guarded`]; [`OcclusionError::Cancelled`].
     pub fn build(
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
-        options: &KdVolumetricOptions,
-    ) -> Result<Self, BuildError> {
-        Self::build_watched(positions, triangles, objects, options, &mut |_| true)
-    }
-
-    /// [`Self::build`] with `progress`, which is called with numbers that grow to 1 and cancels by returning `false`.
-    ///
-    /// # Errors
-    /// As [`Self::build`]; [`BuildError::Cancelled`].
-    ///
-    /// # Panics
-    /// If an object names triangles that don't exist.
-    pub fn build_watched(
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
+        mesh: &ObjectMesh<'_>,
         options: &KdVolumetricOptions,
         progress: &mut (dyn FnMut(f32) -> bool + Send),
-    ) -> Result<Self, BuildError> {
-        // Indices are checked before anything looks at them.
-        umbrage_geom::mesh::validate_slices(positions, triangles)?;
-        let solids = Solids::find(positions, triangles, objects, &options.solids);
+    ) -> Result<Self, OcclusionError> {
+        let solids = Solids::find(mesh, &options.solids)?;
+        let (positions, triangles) = (mesh.positions, mesh.triangles);
         let tree = KdTree::build_guarded(positions, triangles, solids.caps(), &options.tree, progress)?;
-        Ok(Self::new(tree, solids, options.classifier))
+        Self::from_parts(tree, solids, options.classifier)
     }
 
     /// Adds occluders to a tree over the mesh that `solids` was found in, with its caps as guards
     /// ([`KdTree::build_guarded`]).
-    pub fn new(mut tree: KdTree, solids: Solids, classifier: Classifier) -> Self {
-        let boxes = if solids.generators().is_empty() {
-            Vec::new()
-        } else {
-            classify(&mut tree, &solids, classifier)
-        };
+    ///
+    /// # Errors
+    /// [`OcclusionError::Triangles`] if the tree has not as many triangles as the mesh.
+    pub fn from_parts(
+        mut tree: KdTree,
+        solids: Solids,
+        classifier: Classifier,
+    ) -> Result<Self, OcclusionError> {
+        let (count, triangles) = (tree.prim_count(), solids.triangle_count());
+        if count != triangles {
+            return Err(OcclusionError::Triangles { count, triangles });
+        }
+        let boxes =
+            if solids.all().is_empty() { Vec::new() } else { classify(&mut tree, &solids, classifier) };
         let (boxes, remembered) = grown::grow(&tree, boxes);
-        let groups = grouped(solids.generators().iter().map(|g| g.bounds).collect());
+        let groups = grouped(solids.all().iter().map(|g| g.bounds).collect());
         let mut group_pack = BoxPack::EMPTY;
         groups.iter().enumerate().for_each(|(i, group)| group_pack.set(i, group));
-        Self { tree, solids, boxes, remembered, groups, group_pack }
+        Ok(Self { tree, solids, boxes, remembered, groups, group_pack, id: unique_id() })
     }
 
     /// Whether the open segment meets any triangle.
-    pub fn any_hit(&self, ray: &Ray, query: &Query, scratch: &mut Scratch) -> bool {
+    pub fn any_hit(&self, ray: &Ray, query: &KdQuery, scratch: &mut KdVolumetricScratch) -> bool {
         self.any_hit_with(ray, query, scratch, &mut ())
     }
 
@@ -199,11 +204,12 @@ impl KdVolumetric {
     pub fn any_hit_with(
         &self,
         ray: &Ray,
-        query: &Query,
-        scratch: &mut Scratch,
+        query: &KdQuery,
+        scratch: &mut KdVolumetricScratch,
         stats: &mut impl Statistics,
     ) -> bool {
-        let Scratch { single, caches, .. } = scratch;
+        scratch.belong_to(self.id);
+        let KdVolumetricScratch { single, caches, .. } = scratch;
         let [hit] = self.walk([ray], query, single, caches, stats);
         hit
     }
@@ -212,16 +218,31 @@ impl KdVolumetric {
     ///
     /// # Panics
     /// If the slices differ in length.
-    pub fn any_hits_in_packets(
+    pub fn any_hits(
         &self,
         rays: &[Ray],
         hits: &mut [bool],
-        query: &Query,
-        scratch: &mut Scratch,
+        query: &KdQuery,
+        scratch: &mut KdVolumetricScratch,
+    ) {
+        self.any_hits_with(rays, hits, query, scratch, &mut ());
+    }
+
+    /// [`Self::any_hits`], counted.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn any_hits_with(
+        &self,
+        rays: &[Ray],
+        hits: &mut [bool],
+        query: &KdQuery,
+        scratch: &mut KdVolumetricScratch,
         stats: &mut impl Statistics,
     ) {
         assert_eq!(rays.len(), hits.len(), "as many answers as rays");
-        let Scratch { packet, caches, .. } = scratch;
+        scratch.belong_to(self.id);
+        let KdVolumetricScratch { packet, caches, .. } = scratch;
         for (rays, hits) in rays.chunks(4).zip(hits.chunks_mut(4)) {
             // A short packet is filled up with a ray that is not valid, which costs nothing.
             let none = Ray { tfar: f32::NAN, ..rays[0] };
@@ -235,23 +256,23 @@ impl KdVolumetric {
     fn walk<const N: usize>(
         &self,
         rays: [&Ray; N],
-        query: &Query,
+        query: &KdQuery,
         scratch: &mut KdScratch<N>,
         caches: &mut Vec<OccluderCache>,
         stats: &mut impl Statistics,
     ) -> [bool; N] {
         let found = if query.occluders && !self.boxes.is_empty() {
-            let cache = query.light.map(|light| Scratch::cache(caches, light));
+            let cache = query.light.map(|light| KdVolumetricScratch::cache(caches, light));
             if query.guided {
                 self.walk_guided(rays, query, scratch, cache, stats)
             } else {
                 let mut cells = Occluders { this: self, ends: query.ends, cache, events: Events::default() };
-                let found = self.tree.blockers(rays, query.order, &mut cells, scratch, stats);
+                let found = self.tree.blockers_with(rays, query.order, &mut cells, scratch, stats);
                 cells.events.report(stats);
                 found
             }
         } else {
-            self.tree.blockers(rays, Order::RAY, &mut (), scratch, stats)
+            self.tree.blockers_with(rays, Order::RAY, &mut (), scratch, stats)
         };
         for (&ray, &blocker) in rays.iter().zip(&found) {
             match blocker {
@@ -267,7 +288,7 @@ impl KdVolumetric {
     fn walk_guided<const N: usize>(
         &self,
         rays: [&Ray; N],
-        query: &Query,
+        query: &KdQuery,
         scratch: &mut KdScratch<N>,
         mut cache: Option<&mut OccluderCache>,
         stats: &mut impl Statistics,
@@ -275,12 +296,12 @@ impl KdVolumetric {
         let found = if cache.as_ref().is_some_and(|cache| cache.blocked) {
             let (cache, events) = (cache.as_deref_mut(), Events::default());
             let mut cells = Guided { this: self, rays: &rays, ends: query.ends, cache, events };
-            let found = self.tree.blockers(rays, query.order, &mut cells, scratch, stats);
+            let found = self.tree.blockers_with(rays, query.order, &mut cells, scratch, stats);
             cells.events.report(stats);
             found
         } else {
             // In ray order the surface comes before what it is around: cells would end no ray.
-            self.tree.blockers(rays, Order::RAY, &mut (), scratch, stats)
+            self.tree.blockers_with(rays, Order::RAY, &mut (), scratch, stats)
         };
         if let Some(cache) = cache {
             cache.blocked = found.iter().any(|blocker| blocker.any());

@@ -27,19 +27,17 @@ mod classify;
 mod ends;
 mod grown;
 mod kd;
+mod object_mesh;
+pub mod published;
 mod solids;
-mod statistics;
 mod voxels;
 mod wide;
 
-pub use boxes::BoxPack;
-pub use cache::OccluderCache;
-pub use classify::{Classifier, classify};
 pub use ends::Ends;
-pub use kd::{KdVolumetric, KdVolumetricOptions, Query, Scratch};
-pub use solids::{Generator, Object, SolidOptions, Solids};
-pub use statistics::{Counters, Statistics};
+pub use kd::{KdQuery, KdVolumetric, KdVolumetricOptions, KdVolumetricScratch};
+pub use object_mesh::{Object, ObjectMesh};
+pub use solids::{Solid, SolidOptions, Solids};
 pub use wide::{
-    Forecast, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidCounters,
-    SolidInstances, SolidInstancesScratch, SolidScratch,
+    Forecast, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidInstances,
+    SolidInstancesScratch, SolidScratch,
 };

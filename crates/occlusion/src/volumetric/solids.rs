@@ -1,5 +1,7 @@
 //! Which objects are solid: occluder generators (Djeu11, section 4.2), with caps over their holes.
 
+use super::ObjectMesh;
+use crate::OcclusionError;
 use std::ops::Range;
 use umbrage_accel::KdTree;
 use umbrage_geom::{
@@ -8,15 +10,6 @@ use umbrage_geom::{
     crosses_triangle,
     glam::{DVec3, Vec3},
 };
-
-/// A run of triangles that belong together.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Object {
-    /// Which triangles.
-    pub triangles: Range<u32>,
-    /// Whether no light passes them: others never make occluders (Djeu11, section 3.8.1).
-    pub opaque: bool,
-}
 
 /// Which objects may become generators.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,11 +39,20 @@ impl SolidOptions {
     pub fn with_max_guard_area(self, max_guard_area: f32) -> Self {
         Self { max_guard_area, ..self }
     }
+
+    pub(super) fn validate(&self) -> Result<(), OcclusionError> {
+        let (value, most) = (f64::from(self.max_guard_area), f64::MAX);
+        if (0.0..=most).contains(&value) {
+            Ok(())
+        } else {
+            Err(OcclusionError::Setting { what: "max_guard_area", value, least: 0.0, most })
+        }
+    }
 }
 
 /// An object that encloses space.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Generator {
+pub struct Solid {
     /// Index of the object.
     pub object: u32,
     /// Box around its turned triangles.
@@ -71,7 +73,7 @@ pub struct Solids {
     turns: Vec<i8>,
     caps: Vec<[[f32; 3]; 3]>,
     guards: Vec<Aabb>,
-    generators: Vec<Generator>,
+    all: Vec<Solid>,
 }
 
 /// Direction of test rays. Any will do: crossings are counted exactly ([`umbrage_geom::crosses_triangle`]), so that
@@ -79,27 +81,24 @@ pub struct Solids {
 const TEST_DIRECTION: Vec3 = Vec3::new(0.537_7, 0.833_9, -0.125_9);
 
 impl Solids {
-    /// Finds the generators among `objects` (the whole mesh as one opaque object if there are none).
+    /// Finds the generators among the objects of `mesh`.
     ///
     /// An object generates if its edges balance once its triangles are turned ([`audit::orient`]), or if caps over a few
     /// small holes make them.
     ///
-    /// # Panics
-    /// If a triangle names a vertex that does not exist, or an object triangles that don't.
-    pub fn find(
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
-        options: &SolidOptions,
-    ) -> Self {
+    /// # Errors
+    /// Those of [`ObjectMesh::validate`]; [`OcclusionError::Setting`].
+    pub fn find(mesh: &ObjectMesh<'_>, options: &SolidOptions) -> Result<Self, OcclusionError> {
+        mesh.validate()?;
+        options.validate()?;
+        let &ObjectMesh { positions, triangles, .. } = mesh;
         let mut solids = Self { turns: vec![0; triangles.len()], ..Self::default() };
-        let whole = [Object { triangles: 0..triangles.len() as u32, opaque: true }];
-        let objects = if objects.is_empty() { &whole } else { objects };
+        let objects = mesh.objects_or_whole();
         let welded = audit::weld(positions);
         for (index, object) in objects.iter().enumerate().filter(|(_, object)| object.opaque) {
             let range = object.triangles.start as usize..object.triangles.end as usize;
             let own = &triangles[range.clone()];
-            let orientation = audit::orient(positions, own, &welded);
+            let orientation = audit::orient(positions, own, &welded)?;
             let turned =
                 || own.iter().zip(&orientation.turns).filter(|(_, turn)| **turn != 0).map(|(t, _)| t);
             let corners = turned().flatten().map(|&v| positions[v as usize]);
@@ -111,7 +110,7 @@ impl Solids {
                 continue;
             }
             let first = solids.caps.len();
-            solids.generators.push(Generator {
+            solids.all.push(Solid {
                 object: index as u32,
                 bounds,
                 triangles: turned().count() as u32,
@@ -123,12 +122,12 @@ impl Solids {
             solids.caps.extend(caps.triangles);
             solids.guards.extend(caps.guards);
         }
-        solids
+        Ok(solids)
     }
 
     /// The objects that generate.
-    pub fn generators(&self) -> &[Generator] {
-        &self.generators
+    pub fn all(&self) -> &[Solid] {
+        &self.all
     }
 
     /// Triangles over holes: they block nothing, but no cell that is used may touch one.
@@ -146,6 +145,11 @@ impl Solids {
         self.turns[prim as usize].into()
     }
 
+    /// How many triangles the mesh has.
+    pub(super) fn triangle_count(&self) -> usize {
+        self.turns.len()
+    }
+
     /// The closed surface of one generator.
     pub(crate) fn surface<'a>(
         &'a self,
@@ -153,10 +157,10 @@ impl Solids {
         positions: &'a [[f32; 3]],
         triangles: &'a [[u32; 3]],
     ) -> Surface<'a> {
-        let Generator { range, caps, .. } = &self.generators[generator];
+        let Solid { range, caps, .. } = &self.all[generator];
         let range = range.start as usize..range.end as usize;
-        let first: u32 = self.generators[..generator].iter().map(|g| g.holes).sum();
-        let guards = first as usize..(first + self.generators[generator].holes) as usize;
+        let first: u32 = self.all[..generator].iter().map(|g| g.holes).sum();
+        let guards = first as usize..(first + self.all[generator].holes) as usize;
         Surface {
             positions,
             triangles: &triangles[range.clone()],
@@ -168,9 +172,7 @@ impl Solids {
 
     /// Whether a point of the closed `region` may be inside of anything.
     pub fn may_enclose(&self, region: &Aabb) -> bool {
-        self.generators
-            .iter()
-            .any(|g| g.bounds.min.cmple(region.max).all() && region.min.cmple(g.bounds.max).all())
+        self.all.iter().any(|g| g.bounds.min.cmple(region.max).all() && region.min.cmple(g.bounds.max).all())
     }
 
     /// Winding number of the surface around `point`, exact; `tree` holds the mesh.

@@ -6,22 +6,22 @@ use super::{
 };
 use crate::{Occluders, QueryError, ShadowMethod, Structure};
 use std::sync::{Arc, Mutex};
-use umbrage_accel::{Counters, kdtree::Order};
+use umbrage_accel::{Counters, Statistics, kdtree::Order};
 use umbrage_geom::Ray;
-use umbrage_occlusion::volumetric::{self, KdVolumetric, Query, Scratch};
+use umbrage_occlusion::volumetric::{KdQuery, KdVolumetric, KdVolumetricScratch};
 
 /// Rays that walk together.
 const PACKET: usize = 4;
 
 pub(super) struct Kd {
     method: ShadowMethod,
-    query: Query,
+    query: KdQuery,
     tree: Arc<KdVolumetric>,
-    memories: Mutex<Vec<Scratch>>,
+    memories: Mutex<Vec<KdVolumetricScratch>>,
 }
 
 /// How rays of `method` walk.
-fn query(method: ShadowMethod) -> Query {
+fn query(method: ShadowMethod) -> KdQuery {
     let (order, guided) = match method {
         ShadowMethod::KdVolumetric => (Order::SOLID, true),
         ShadowMethod::KdVolumetricSolid => (Order::SOLID, false),
@@ -30,7 +30,7 @@ fn query(method: ShadowMethod) -> Query {
         ShadowMethod::KdVolumetricQuick => (Order::QUICK, false),
         _ => (Order::RAY, false),
     };
-    Query::default().with_order(order).with_occluders(method != ShadowMethod::Kd).with_guide(guided)
+    KdQuery::default().with_order(order).with_occluders(method != ShadowMethod::Kd).with_guide(guided)
 }
 
 impl Kd {
@@ -48,10 +48,10 @@ impl Kd {
 fn in_packets(
     tree: &KdVolumetric,
     rays: &[LightRay],
-    query: &Query,
-    scratch: &mut Scratch,
+    query: &KdQuery,
+    scratch: &mut KdVolumetricScratch,
     passed: &mut [f32],
-    stats: &mut impl volumetric::Statistics,
+    stats: &mut impl Statistics,
 ) {
     let none = Ray::new([0.0; 3], [0.0; 3]);
     for (rays, passed) in rays.chunks(PACKET).zip(passed.chunks_mut(PACKET)) {
@@ -61,7 +61,7 @@ fn in_packets(
             [alone] => hits[0] = tree.any_hit_with(&alone.ray, query, scratch, stats),
             _ => {
                 let (packet, hits) = (&packet[..rays.len()], &mut hits[..rays.len()]);
-                tree.any_hits_in_packets(packet, hits, query, scratch, stats);
+                tree.any_hits_with(packet, hits, query, scratch, stats);
             }
         }
         passed.iter_mut().zip(hits).for_each(|(out, hit)| *out = f32::from(u8::from(!hit)));
@@ -93,18 +93,18 @@ impl Engine for Kd {
 }
 
 impl Remembers for Kd {
-    type Memory = Scratch;
+    type Memory = KdVolumetricScratch;
 
     fn name(&self) -> &'static str {
         self.method.name()
     }
 
-    fn memories(&self) -> &Mutex<Vec<Scratch>> {
+    fn memories(&self) -> &Mutex<Vec<KdVolumetricScratch>> {
         &self.memories
     }
 
-    fn fresh(&self) -> Scratch {
-        Scratch::default()
+    fn fresh(&self) -> KdVolumetricScratch {
+        KdVolumetricScratch::default()
     }
 
     fn trace(
@@ -113,17 +113,11 @@ impl Remembers for Kd {
         light: Option<usize>,
         passed: &mut [f32],
         counters: Option<&mut Counters>,
-        scratch: &mut Scratch,
+        scratch: &mut KdVolumetricScratch,
     ) {
         let query = self.query.with_light(light);
-        let mut counted = volumetric::Counters::default();
         match counters {
-            Some(counters) => {
-                in_packets(&self.tree, rays, &query, scratch, passed, &mut counted);
-                counters.nodes += counted.kd.steps;
-                counters.box_tests += counted.box_tests;
-                counters.triangle_tests += counted.kd.triangle_tests;
-            }
+            Some(counters) => in_packets(&self.tree, rays, &query, scratch, passed, counters),
             None => in_packets(&self.tree, rays, &query, scratch, passed, &mut ()),
         }
     }

@@ -4,11 +4,8 @@ use super::{Answers, Engine, Report, Sky, one_mesh};
 use crate::{AoMethod, Occluders, QueryError};
 use umbrage_accel::Bvh;
 use umbrage_aomask::{
-    BackEnd, MaskOptions, Outputs, Pattern, Receiver, Sides,
-    exact::{
-        self,
-        adaptive::{Adaptive, Spent},
-    },
+    MaskCall, MaskOptions, Outputs, Pattern, Receiver, Sides,
+    exact::adaptive::{Adaptive, Spent},
 };
 
 pub(super) struct Mask<'a> {
@@ -55,17 +52,14 @@ impl Engine for Mask<'_> {
         outputs: Outputs<'_>,
         progress: Report<'_>,
     ) -> Result<Spent, QueryError> {
-        let mut ask = |pattern: &Pattern,
-                       receivers: &[Receiver],
-                       outputs: Outputs<'_>,
-                       progress: Report<'_>| {
-            let (Self { bvh, options, .. }, best) = (self, BackEnd::best());
-            if self.occluders.is_opaque() {
-                return exact::answer_receivers(bvh, pattern, receivers, options, best, outputs, progress);
-            }
-            let depth = |prim| self.occluders.flat_depth(prim);
-            exact::transmit(bvh, depth, pattern, receivers, options, best, outputs, progress)
-        };
+        let mut ask =
+            |pattern: &Pattern, receivers: &[Receiver], outputs: Outputs<'_>, progress: Report<'_>| {
+                let call = MaskCall::new(self.bvh, pattern, receivers, &self.options);
+                if self.occluders.is_opaque() {
+                    return call.answer(outputs, progress);
+                }
+                call.transmit(|prim| self.occluders.flat_depth(prim), outputs, progress)
+            };
         match &self.adaptive {
             Some((adaptive, target)) => Ok(adaptive.answer(receivers, *target, &mut ask, outputs, progress)?),
             None => {

@@ -2,7 +2,7 @@
 
 use super::{Answers, Engine, Report, Sky, one_mesh};
 use crate::{AoMethod, Occluders, QueryError, Structure};
-use umbrage_aomask::{MaskOptions, MaskTables, Outputs, RasterLevel, RasterOptions, RasterView, rasterize};
+use umbrage_aomask::{MaskOptions, MaskTables, Outputs, RasterCall, RasterLevel, RasterView};
 use umbrage_geom::TriangleMesh;
 
 pub(super) struct MaskRaster<'a> {
@@ -41,8 +41,8 @@ impl Engine for MaskRaster<'_> {
         progress: Report<'_>,
     ) -> Result<(), QueryError> {
         let level = RasterLevel::exact(&self.mesh.positions, &self.mesh.triangles);
-        let (options, raster) = (self.options.with_seed(seed), RasterOptions::default());
-        rasterize(&self.tables, &[level], view, &options, &raster, outputs, progress)?;
+        let options = self.options.with_seed(seed);
+        RasterCall::new(&self.tables, &[level], view).with_options(options).run(outputs, progress)?;
         Ok(())
     }
 }

@@ -43,7 +43,7 @@ impl Engine for MaskTable<'_> {
         outputs: Outputs<'_>,
         progress: Report<'_>,
     ) -> Result<Spent, QueryError> {
-        self.tables.answer_receivers(self.bvh, receivers, &self.options, outputs, progress)?;
+        self.tables.answer(self.bvh, receivers, &self.options, outputs, progress)?;
         Ok(Spent::uniform(self.tables.pattern().len() as u32, receivers.len() as u64))
     }
 }

@@ -293,7 +293,7 @@ pub fn shadows<'a>(
 /// The engine of a shadow method.
 ///
 /// # Errors
-/// [`QueryError::Unsupported`] with the reason; [`QueryError::Build`], [`QueryError::Prefilter`], [`QueryError::Cancelled`] of
+/// [`QueryError::Unsupported`] with the reason; [`QueryError::Build`], [`QueryError::Occlusion`], [`QueryError::Cancelled`] of
 /// the structures that are made for it.
 pub fn shadows_with<'a>(
     method: ShadowMethod,
@@ -333,7 +333,7 @@ pub(crate) fn solid_where_it_pays<'a>(
 /// The engine of an ambient occlusion method.
 ///
 /// # Errors
-/// [`QueryError::Unsupported`] with the reason; [`QueryError::Mask`], [`QueryError::Prefilter`], [`QueryError::Cancelled`] of the
+/// [`QueryError::Unsupported`] with the reason; [`QueryError::Mask`], [`QueryError::Occlusion`], [`QueryError::Cancelled`] of the
 /// structures that are made for it.
 pub fn sky<'a>(
     method: AoMethod,
@@ -375,7 +375,7 @@ pub fn sky<'a>(
 /// Makes the structures that `method` will ask for, so that [`sky`] finds them.
 ///
 /// # Errors
-/// [`QueryError::Prefilter`], [`QueryError::Mask`], [`QueryError::Cancelled`].
+/// [`QueryError::Occlusion`], [`QueryError::Mask`], [`QueryError::Cancelled`].
 pub fn prepare_sky(method: AoMethod, occluders: &Occluders, progress: Report<'_>) -> Result<(), QueryError> {
     match method {
         AoMethod::Prefilter => occluders.prefiltered(progress).map(drop),

@@ -5,7 +5,7 @@ use crate::{AoMethod, Occluders, QueryError, Structure};
 use std::sync::Arc;
 use umbrage_accel::{Counters, Statistics};
 use umbrage_geom::Ray;
-use umbrage_occlusion::prefilter::{ConeRay, Prefiltered, PrefilteredInstances, Query};
+use umbrage_occlusion::prefilter::{ConeQuery, ConeRay, Prefiltered, PrefilteredInstances};
 
 /// Threshold `T` of shadows: `docs/prefilter.md` has the errors.
 pub(super) const SHADOW_THRESHOLD: f32 = 0.2;
@@ -18,7 +18,7 @@ const BATCH: usize = 64;
 
 pub(super) struct Prefilter<'a> {
     scene: Scene<'a>,
-    query: Query,
+    query: ConeQuery,
 }
 
 enum Scene<'a> {
@@ -39,7 +39,7 @@ impl<'a> Prefilter<'a> {
                 Scene::Instanced(PrefilteredInstances::new(top, parts.scenes.clone(), &parts.of_instance)?)
             }
         };
-        Ok(Self { scene, query: Query::new(threshold)? })
+        Ok(Self { scene, query: ConeQuery::new(threshold)? })
     }
 
     fn answer(&self, rays: &[ConeRay], passed: &mut [f32], stats: &mut impl Statistics) {

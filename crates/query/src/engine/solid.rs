@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use umbrage_accel::{Bvh, Counters};
 use umbrage_geom::{Ray, TriangleMesh};
 use umbrage_occlusion::volumetric::{
-    Ends, LazyScratch, LazySolidBvh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions, SolidCounters,
+    Ends, LazyScratch, LazySolidBvh, ObjectMesh, Prepared, ShadowRays, SolidBvh, SolidBvhOptions,
     SolidInstances, SolidInstancesScratch,
 };
 
@@ -30,9 +30,9 @@ pub(super) struct Instances<'a> {
     memories: Mutex<Vec<SolidInstancesScratch>>,
 }
 
-fn lazy<'a>(bvh: &Arc<Bvh>, mesh: &'a TriangleMesh) -> LazySolidBvh<'a> {
-    let options = SolidBvhOptions::default();
-    LazySolidBvh::new(bvh.clone(), &mesh.positions, &mesh.triangles, &solids(mesh), &options)
+fn lazy<'a>(bvh: &Arc<Bvh>, mesh: &'a TriangleMesh) -> Result<LazySolidBvh<'a>, QueryError> {
+    let parts = ObjectMesh::new(&mesh.positions, &mesh.triangles).with_objects(solids(mesh));
+    Ok(LazySolidBvh::build(bvh.clone(), &parts, &SolidBvhOptions::default())?)
 }
 
 fn fraction(blocked: bool) -> f32 {
@@ -44,21 +44,22 @@ impl<'a> Solid<'a> {
         occluders.note(Structure::SolidBoxes, None, None);
         if let Some(top) = occluders.instances() {
             let meshes = top.bvhs().iter().zip(occluders.meshes());
-            let solid = SolidInstances::new(top, meshes.map(|(bvh, mesh)| lazy(bvh, mesh)).collect());
+            let meshes = meshes.map(|(bvh, mesh)| lazy(bvh, mesh)).collect::<Result<_, _>>()?;
+            let solid = SolidInstances::build(top, meshes)?;
             return Ok(Self::Instances(Instances { solid, memories: Mutex::default() }));
         }
         let name = ShadowMethod::BvhVolumetric.name();
         let (bvh, mesh) = one_mesh(name, occluders.flat_opaque())?;
-        Ok(Self::OneMesh(OneMesh { solid: Box::new(lazy(bvh, mesh)), memories: Mutex::default() }))
+        Ok(Self::OneMesh(OneMesh { solid: Box::new(lazy(bvh, mesh)?), memories: Mutex::default() }))
     }
 
     /// With all boxes made, for occluders whose shadow `rays` are expected to gain by them.
     pub(super) fn where_it_pays(occluders: &'a Occluders, rays: &ShadowRays) -> Option<Self> {
         let (bvh, mesh) = occluders.flat_opaque()?;
-        let (positions, triangles) = (&mesh.positions, &mesh.triangles);
+        let parts = ObjectMesh::new(&mesh.positions, &mesh.triangles).with_objects(solids(mesh));
         let options = SolidBvhOptions::default();
         let start = std::time::Instant::now();
-        let solid = SolidBvh::build_if_it_pays(bvh, positions, triangles, &solids(mesh), rays, &options)?;
+        let solid = SolidBvh::build_if_it_pays(bvh, &parts, rays, &options).ok()??;
         let own_bytes = solid.bytes().saturating_sub(bvh.bytes());
         occluders.note(Structure::SolidBoxes, Some(start.elapsed()), Some(own_bytes));
         let solid = Box::new(LazySolidBvh::ready(solid));
@@ -139,12 +140,10 @@ impl Remembers for OneMesh<'_> {
     ) {
         let solid = &self.solid;
         if let Some(counters) = counters {
-            let mut counted = SolidCounters::default();
             for (to_light, out) in rays.iter().zip(passed) {
                 let ray = &to_light.ray;
-                *out = fraction(solid.any_hit_counted(ray, Ends::Unknown, light, scratch, &mut counted));
+                *out = fraction(solid.any_hit_with(ray, Ends::Unknown, light, scratch, counters));
             }
-            *counters += counted.walk;
         } else {
             let rays: Vec<Ray> = rays.iter().map(|light| light.ray).collect();
             let mut hits = vec![false; rays.len()];
@@ -174,20 +173,16 @@ impl Remembers for Instances<'_> {
         rays: &[LightRay],
         _: Option<usize>,
         passed: &mut [f32],
-        counters: Option<&mut Counters>,
+        mut counters: Option<&mut Counters>,
         scratch: &mut SolidInstancesScratch,
     ) {
         let solid = &self.solid;
-        let mut counted = SolidCounters::default();
         for (to_light, out) in rays.iter().zip(passed) {
-            let hit = match counters {
-                Some(_) => solid.any_hit_counted(&to_light.ray, scratch, &mut counted),
+            let hit = match &mut counters {
+                Some(counters) => solid.any_hit_with(&to_light.ray, scratch, *counters),
                 None => solid.any_hit(&to_light.ray, scratch),
             };
             *out = fraction(hit);
-        }
-        if let Some(counters) = counters {
-            *counters += counted.walk;
         }
     }
 }

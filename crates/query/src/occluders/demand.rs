@@ -11,7 +11,7 @@ use umbrage_aomask::{MaskTables, Pattern, TableOptions};
 use umbrage_geom::{OpticalDepth, TriangleMesh};
 use umbrage_occlusion::{
     prefilter::{PrefilterOptions, Prefiltered},
-    volumetric::{KdVolumetric, KdVolumetricOptions, Object},
+    volumetric::{KdVolumetric, KdVolumetricOptions, Object, ObjectMesh},
 };
 
 /// A structure over occluders.
@@ -137,10 +137,9 @@ impl Occluders {
     pub(crate) fn kd_tree(&self, progress: Report<'_>) -> Result<Option<Arc<KdVolumetric>>, QueryError> {
         let Some((_, mesh)) = self.flat_opaque() else { return Ok(None) };
         let make = || {
-            let (options, objects) = (KdVolumetricOptions::default(), solids(mesh));
-            let (positions, triangles) = (&mesh.positions, &mesh.triangles);
-            let kd = KdVolumetric::build_watched(positions, triangles, &objects, &options, progress)
-                .map_err(|source| QueryError::from_build("kd-tree", source))?;
+            let options = KdVolumetricOptions::default();
+            let parts = ObjectMesh::new(&mesh.positions, &mesh.triangles).with_objects(solids(mesh));
+            let kd = KdVolumetric::build(&parts, &options, progress)?;
             let bytes = kd.bytes();
             Ok((Arc::new(kd), bytes))
         };

@@ -25,10 +25,10 @@ const STACK: usize = (LANES - 1) * View::MAX_LEVELS * (super::rays::GROUPS / 4) 
 
 /// What the end of an interval is multiplied by: a box coordinate, a reciprocal and their product carry one rounding each, on
 /// either side.
-pub(crate) const WIDEN: f32 = 1.0 + 16.0 / (1u32 << 24) as f32;
+pub(crate) const INTERVAL_WIDENING: f32 = 1.0 + 16.0 / (1u32 << 24) as f32;
 
 /// Added to squared lengths, so that they stay bounds where squares vanish.
-pub(crate) const TINY: f32 = 1e-30;
+pub(crate) const MIN_SQUARED_LENGTH: f32 = 1e-30;
 
 /// Children to visit.
 pub(crate) struct Stack {

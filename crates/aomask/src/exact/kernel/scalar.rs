@@ -20,7 +20,7 @@ fn enters(rows: &Rows, child: usize, rays: &RaySet, ray: usize) -> bool {
         entry = if near > entry { near } else { entry };
         exit = if far < exit { far } else { exit };
     }
-    entry <= exit * super::WIDEN + f32::MIN_POSITIVE
+    entry <= exit * super::INTERVAL_WIDENING + f32::MIN_POSITIVE
 }
 
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
@@ -160,7 +160,7 @@ impl Kernel for Scalar {
         for (row, normal) in lengths.iter_mut().zip(planes.normals()) {
             for (lane, length) in row.iter_mut().enumerate() {
                 let n = normal.map(|row| row[lane]);
-                *length = (dot(n, n) + super::TINY).sqrt();
+                *length = (dot(n, n) + super::MIN_SQUARED_LENGTH).sqrt();
             }
         }
         LeafRows { planes: *planes, lengths }
@@ -179,7 +179,8 @@ impl Kernel for Scalar {
         (0..LANES).fold(0, |mask, lane| {
             let sum = [0, 1, 2].map(|axis| planes.normals().iter().map(|n| n[axis][lane]).sum::<f32>());
             let reach = hull.radius
-                * ((dot(sum, sum) + super::TINY).sqrt() * (1.0 + 1e-5) + 8.0 * planes.error()[lane]);
+                * ((dot(sum, sum) + super::MIN_SQUARED_LENGTH).sqrt() * (1.0 + 1e-5)
+                    + 8.0 * planes.error()[lane]);
             let height = planes.volume()[lane].abs() - planes.volume_error()[lane];
             // NaN counts as near.
             mask | u32::from(!(height > reach)) << lane

@@ -1,7 +1,9 @@
 //! AVX2: eight children, rays or triangles at once.
 #![allow(unsafe_code)]
 
-use super::{Hull, Kernel, LANES, LeafRows, Rows, Spheres, Stack, TINY, WIDEN, ray_of};
+use super::{
+    Hull, INTERVAL_WIDENING, Kernel, LANES, LeafRows, MIN_SQUARED_LENGTH, Rows, Spheres, Stack, ray_of,
+};
 use crate::exact::rays::{GROUP, GROUPS, RAYS, RaySet};
 use std::arch::x86_64::*;
 use umbrage_accel::NodeView;
@@ -153,7 +155,7 @@ fn box_groups(rows: &Rows, child: usize, rays: &RaySet, hull: &Hull) -> u32 {
 #[inline]
 #[target_feature(enable = "avx2,fma")]
 fn widened(exit: __m256) -> __m256 {
-    _mm256_fmadd_ps(exit, _mm256_set1_ps(WIDEN), _mm256_set1_ps(f32::MIN_POSITIVE))
+    _mm256_fmadd_ps(exit, _mm256_set1_ps(INTERVAL_WIDENING), _mm256_set1_ps(f32::MIN_POSITIVE))
 }
 
 #[inline]
@@ -255,8 +257,11 @@ fn lengths(planes: &fan::scalar::Planes) -> [[f32; LANES]; 3] {
     let mut lengths = [[0.0; LANES]; 3];
     for (row, [x, y, z]) in lengths.iter_mut().zip(planes.normals()) {
         let (x, y, z) = (load(x), load(y), load(z));
-        let square =
-            _mm256_fmadd_ps(x, x, _mm256_fmadd_ps(y, y, _mm256_fmadd_ps(z, z, _mm256_set1_ps(TINY))));
+        let square = _mm256_fmadd_ps(
+            x,
+            x,
+            _mm256_fmadd_ps(y, y, _mm256_fmadd_ps(z, z, _mm256_set1_ps(MIN_SQUARED_LENGTH))),
+        );
         store(row, _mm256_sqrt_ps(square));
     }
     lengths
@@ -267,7 +272,7 @@ fn lengths(planes: &fan::scalar::Planes) -> [[f32; LANES]; 3] {
 fn near(rows: &LeafRows, hull: &Hull) -> u32 {
     let planes = &rows.planes;
     let [a, b, c] = planes.normals();
-    let mut square = _mm256_set1_ps(TINY);
+    let mut square = _mm256_set1_ps(MIN_SQUARED_LENGTH);
     for axis in 0..3 {
         let sum = _mm256_add_ps(_mm256_add_ps(load(&a[axis]), load(&b[axis])), load(&c[axis]));
         square = _mm256_fmadd_ps(sum, sum, square);

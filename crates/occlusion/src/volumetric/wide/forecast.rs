@@ -1,7 +1,7 @@
 //! Whether solid boxes pay in a scene: the rules of thumb of Djeu11, section 3.8.2 as numbers, known before any ray is traced.
 
 use super::Carved;
-use crate::volumetric::Generator;
+use crate::volumetric::Solid;
 use umbrage_geom::{
     Aabb, Ray, SlabRay,
     glam::{DVec3, Vec3},
@@ -12,19 +12,19 @@ use umbrage_geom::{
 const LINES: u32 = 256;
 
 /// Least share of a scene's triangles that generators must have: others block rays without boxes.
-const LEAST_TRIANGLES: f32 = 0.65;
+const MIN_TRIANGLE_SHARE: f32 = 0.65;
 
 /// Fewest triangles of generators: less is traced as fast without.
-const SMALLEST: usize = 4_000;
+const MIN_TRIANGLES: usize = 4_000;
 
 /// The same where few rays share an origin: each asks the boxes by itself, which a few fewer nodes don't make up for.
-const SMALLEST_ALONE: usize = 16_000;
+const MIN_TRIANGLES_FOR_SINGLE_RAYS: usize = 16_000;
 
 /// Least share of the lines from lights through generators that boxes must stop: the shadow shape test.
-const LEAST_COVERAGE: f32 = 0.1;
+const MIN_COVERAGE: f32 = 0.1;
 
 /// Least area of boxes, in those of triangles: the internal volume against tessellation test.
-const LEAST_RATIO: f32 = 100.0;
+const MIN_AREA_RATIO: f32 = 100.0;
 
 /// Shadow rays that are expected.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,15 +54,17 @@ pub struct Forecast {
 
 impl Forecast {
     /// Whether boxes could pay, by the generators of a scene of so many triangles alone.
-    pub(super) fn may_pay(generators: &[Generator], triangles: usize, rays: &ShadowRays) -> bool {
+    pub(super) fn may_pay(generators: &[Solid], triangles: usize, rays: &ShadowRays) -> bool {
         let own: usize = generators.iter().map(|generator| generator.triangles as usize).sum();
-        let smallest = if rays.together < 2.0 { SMALLEST_ALONE } else { SMALLEST };
-        own as f32 >= LEAST_TRIANGLES * triangles as f32 && own >= smallest
+        let smallest = if rays.together < 2.0 { MIN_TRIANGLES_FOR_SINGLE_RAYS } else { MIN_TRIANGLES };
+        own as f32 >= MIN_TRIANGLE_SHARE * triangles as f32 && own >= smallest
     }
 
     /// Whether boxes are expected to save more than they cost, in scenes that aren't small.
     pub fn pays(&self) -> bool {
-        self.triangles >= LEAST_TRIANGLES && self.coverage >= LEAST_COVERAGE && self.area_ratio >= LEAST_RATIO
+        self.triangles >= MIN_TRIANGLE_SHARE
+            && self.coverage >= MIN_COVERAGE
+            && self.area_ratio >= MIN_AREA_RATIO
     }
 }
 

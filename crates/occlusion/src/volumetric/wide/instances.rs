@@ -1,8 +1,11 @@
 //! Boxes inside of meshes that are placed several times: each mesh has its own once, in its own space.
 
-use super::{LazyScratch, LazySolidBvh, Prepared, Search, SolidCounters, Watch};
-use crate::volumetric::Ends;
-use umbrage_accel::{Bvh, Insides, InstancedBvh, Statistics};
+use super::{LazyScratch, LazySolidBvh, Prepared, Search, Watch};
+use crate::{
+    OcclusionError,
+    volumetric::{Ends, object_mesh::unique_id},
+};
+use umbrage_accel::{Bvh, InstanceBoxes, InstancedBvh, Statistics};
 use umbrage_geom::Ray;
 
 /// Instances whose meshes have solid boxes; exact.
@@ -13,54 +16,70 @@ use umbrage_geom::Ray;
 pub struct SolidInstances<'a> {
     top: &'a InstancedBvh,
     meshes: Vec<LazySolidBvh<'a>>,
+    /// See [`unique_id`].
+    id: u64,
 }
 
-/// What a thread needs to trace rays. It belongs to one [`SolidInstances`].
+/// What a thread needs to trace rays. With other [`SolidInstances`] than before it starts anew.
 #[derive(Debug)]
-pub struct SolidInstancesScratch(Vec<LazyScratch>);
+pub struct SolidInstancesScratch {
+    /// By mesh.
+    meshes: Vec<LazyScratch>,
+    /// [`SolidInstances::id`] of all this.
+    id: u64,
+}
 
 impl<'a> SolidInstances<'a> {
     /// With the boxes of `meshes`, one for each of `top`'s hierarchies.
     ///
-    /// # Panics
-    /// If there are not as many.
-    pub fn new(top: &'a InstancedBvh, meshes: Vec<LazySolidBvh<'a>>) -> Self {
-        assert_eq!(top.bvhs().len(), meshes.len(), "as many meshes as hierarchies");
-        Self { top, meshes }
+    /// # Errors
+    /// [`OcclusionError::Meshes`] if there are not as many; [`OcclusionError::Triangles`] if one is of another mesh.
+    pub fn build(top: &'a InstancedBvh, meshes: Vec<LazySolidBvh<'a>>) -> Result<Self, OcclusionError> {
+        let hierarchies = top.bvhs().len();
+        if hierarchies != meshes.len() {
+            return Err(OcclusionError::Meshes { meshes: meshes.len(), hierarchies });
+        }
+        for (bvh, mesh) in top.bvhs().iter().zip(&meshes) {
+            let (count, triangles) = (bvh.prim_count(), mesh.prim_count());
+            if count != triangles {
+                return Err(OcclusionError::Triangles { count, triangles });
+            }
+        }
+        Ok(Self { top, meshes, id: unique_id() })
     }
 
     /// What a thread needs to trace rays.
     pub fn scratch(&self) -> SolidInstancesScratch {
-        SolidInstancesScratch(self.meshes.iter().map(LazySolidBvh::scratch).collect())
+        SolidInstancesScratch { meshes: self.meshes.iter().map(LazySolidBvh::scratch).collect(), id: self.id }
+    }
+
+    /// What `scratch` has for the meshes, made anew if it was that of others.
+    #[inline]
+    fn own<'s>(&self, scratch: &'s mut SolidInstancesScratch) -> &'s mut [LazyScratch] {
+        if scratch.id != self.id {
+            *scratch = self.scratch();
+        }
+        &mut scratch.meshes
     }
 
     /// Whether the open segment meets any triangle of any instance. Prepares the objects that it reaches.
     pub fn any_hit(&self, ray: &Ray, scratch: &mut SolidInstancesScratch) -> bool {
-        self.any_hit_watched(ray, scratch, &mut (), &mut ())
+        let mut entered = Entered { meshes: &self.meshes, scratch: self.own(scratch), watch: &mut () };
+        self.top.any_hit_among_with(ray, &mut entered, &mut ())
     }
 
     /// [`Self::any_hit`], counted.
-    pub fn any_hit_counted(
+    pub fn any_hit_with(
         &self,
         ray: &Ray,
         scratch: &mut SolidInstancesScratch,
-        counters: &mut SolidCounters,
-    ) -> bool {
-        let mut walk = umbrage_accel::Counters::default();
-        let hit = self.any_hit_watched(ray, scratch, counters, &mut walk);
-        counters.walk += walk;
-        hit
-    }
-
-    fn any_hit_watched(
-        &self,
-        ray: &Ray,
-        scratch: &mut SolidInstancesScratch,
-        watch: &mut impl Watch,
         stats: &mut impl Statistics,
     ) -> bool {
-        let mut entered = Entered { meshes: &self.meshes, scratch: &mut scratch.0, watch };
-        self.top.any_hit_among(ray, &mut entered, stats)
+        let mut ended = None;
+        let mut entered = Entered { meshes: &self.meshes, scratch: self.own(scratch), watch: &mut ended };
+        let hit = self.top.any_hit_among_with(ray, &mut entered, stats);
+        ended.into_iter().for_each(|remembered| stats.ended_in_solid(remembered));
+        hit
     }
 
     /// [`LazySolidBvh::prepare_all`] of all meshes.
@@ -83,8 +102,8 @@ struct Entered<'a, 'b, W> {
     watch: &'a mut W,
 }
 
-impl<W: Watch> Insides for Entered<'_, '_, W> {
-    type Solids<'s>
+impl<W: Watch> InstanceBoxes for Entered<'_, '_, W> {
+    type SolidBoxes<'s>
         = Search<'s, W>
     where
         Self: 's;

@@ -4,8 +4,11 @@
 //! (`mod.rs`). Answers are exact with any boxes, so who prepares what when changes none. The work that rays take does depend on
 //! it, unless everything is prepared first ([`LazySolidBvh::prepare_all`]).
 
-use super::{Carved, SolidBvh, SolidBvhOptions, SolidCounters, SolidScratch};
-use crate::volumetric::{Ends, Object, Solids};
+use super::{Carved, SolidBvh, SolidBvhOptions, SolidScratch};
+use crate::{
+    OcclusionError,
+    volumetric::{Ends, Object, ObjectMesh, Solids, object_mesh::unique_id},
+};
 use std::{
     ops::{AddAssign, ControlFlow, Range},
     sync::{
@@ -13,15 +16,15 @@ use std::{
         atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering},
     },
 };
-use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality, Bvh};
+use umbrage_accel::{BoxBvh, BoxVisitor, BuildQuality, Bvh, Statistics};
 use umbrage_geom::{Aabb, Ray};
 
 /// Fewest triangles that enclose space.
-const SMALLEST: usize = 4;
+const MIN_SOLID_TRIANGLES: usize = 4;
 
 /// Rays after which boxes are taken into use however few they are. Putting them into the hierarchy takes as long as tracing
 /// about so many.
-const LONGEST_WAIT: u64 = 1 << 18;
+const MAX_WAITING_RAYS: u64 = 1 << 18;
 
 /// An object that may generate.
 #[derive(Debug)]
@@ -79,9 +82,11 @@ pub struct LazySolidBvh<'a> {
     current: Mutex<Arc<SolidBvh>>,
     /// Times that it was replaced.
     version: AtomicU32,
+    /// See [`unique_id`].
+    id: u64,
 }
 
-/// What a thread needs to trace rays. It belongs to one [`LazySolidBvh`].
+/// What a thread needs to trace rays. With another [`LazySolidBvh`] than before it starts anew.
 #[derive(Debug)]
 pub struct LazyScratch {
     current: Arc<SolidBvh>,
@@ -90,6 +95,8 @@ pub struct LazyScratch {
     /// Candidates that no thread had claimed when this was made, and how many had been then.
     waiting: Waiting,
     claims: usize,
+    /// [`LazySolidBvh::id`] of all this.
+    id: u64,
 }
 
 /// Unclaimed candidates.
@@ -104,24 +111,26 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<'a> LazySolidBvh<'a> {
-    /// Prepares nothing yet. `bvh` must be that of the mesh; without `objects` the whole mesh is one.
+    /// Prepares nothing yet. `bvh` must be that of the mesh.
     ///
-    /// # Panics
-    /// If a triangle names a vertex that does not exist, or an object triangles that don't.
-    pub fn new(
+    /// # Errors
+    /// Those of [`ObjectMesh::validate`]; [`OcclusionError::Setting`]; [`OcclusionError::Triangles`] if `bvh` has not as many
+    /// triangles as the mesh.
+    pub fn build(
         bvh: Arc<Bvh>,
-        positions: &'a [[f32; 3]],
-        triangles: &'a [[u32; 3]],
-        objects: &[Object],
+        mesh: &ObjectMesh<'a>,
         options: &SolidBvhOptions,
-    ) -> Self {
-        let whole = [Object { triangles: 0..triangles.len() as u32, opaque: true }];
-        let objects = if objects.is_empty() { &whole } else { objects };
+    ) -> Result<Self, OcclusionError> {
+        mesh.check_hierarchy(bvh.prim_count())?;
+        mesh.validate()?;
+        options.solids.validate()?;
+        let &ObjectMesh { positions, triangles, .. } = mesh;
         let candidate = |object: &Object| {
             let own = &triangles[object.triangles.start as usize..object.triangles.end as usize];
             let corners = own.iter().flatten().map(|&v| positions[v as usize]);
             let bounds = corners.fold(Aabb::EMPTY, Aabb::with_point);
-            let solid = object.opaque && own.len() >= SMALLEST && bounds.min.cmplt(bounds.max).all();
+            let solid =
+                object.opaque && own.len() >= MIN_SOLID_TRIANGLES && bounds.min.cmplt(bounds.max).all();
             solid.then(|| Candidate {
                 triangles: object.triangles.clone(),
                 bounds,
@@ -129,9 +138,9 @@ impl<'a> LazySolidBvh<'a> {
                 carved: OnceLock::new(),
             })
         };
-        let candidates = objects.iter().filter_map(candidate).collect();
-        let current = SolidBvh::new(bvh.clone(), Carved::default());
-        Self { positions, triangles, options: *options, candidates, ..Self::ready(current) }
+        let candidates = mesh.objects_or_whole().iter().filter_map(candidate).collect();
+        let current = SolidBvh::new(bvh, Carved::default());
+        Ok(Self { positions, triangles, options: *options, candidates, ..Self::ready(current) })
     }
 
     /// With all objects prepared already.
@@ -149,7 +158,13 @@ impl<'a> LazySolidBvh<'a> {
             publishing: Mutex::new(()),
             current: Mutex::new(Arc::new(built)),
             version: AtomicU32::new(0),
+            id: unique_id(),
         }
+    }
+
+    /// How many triangles the mesh has.
+    pub(super) fn prim_count(&self) -> usize {
+        self.bvh.prim_count()
     }
 
     /// What a thread needs to trace rays.
@@ -158,7 +173,7 @@ impl<'a> LazySolidBvh<'a> {
         let current = locked(&self.current).clone();
         let solid = current.scratch();
         let (waiting, claims) = self.waiting();
-        LazyScratch { current, version, solid, waiting, claims }
+        LazyScratch { current, version, solid, waiting, claims, id: self.id }
     }
 
     /// [`SolidBvh::any_hits`], and prepares what the rays reach.
@@ -177,17 +192,17 @@ impl<'a> LazySolidBvh<'a> {
         scratch.current.any_hits(rays, hits, ends, light, &mut scratch.solid);
     }
 
-    /// [`SolidBvh::any_hit_counted`], and prepares what the ray reaches.
-    pub fn any_hit_counted(
+    /// [`SolidBvh::any_hit_with`], and prepares what the ray reaches.
+    pub fn any_hit_with(
         &self,
         ray: &Ray,
         ends: Ends,
         light: Option<usize>,
         scratch: &mut LazyScratch,
-        counters: &mut SolidCounters,
+        stats: &mut impl Statistics,
     ) -> bool {
         self.reach(std::slice::from_ref(ray), scratch);
-        scratch.current.any_hit_counted(ray, ends, light, &mut scratch.solid, counters)
+        scratch.current.any_hit_with(ray, ends, light, &mut scratch.solid, stats)
     }
 
     /// Prepares all objects and puts their boxes into use, so that the work of a ray does not depend on which rays came before it
@@ -216,7 +231,7 @@ impl<'a> LazySolidBvh<'a> {
         let ready = || self.candidates.iter().filter_map(|candidate| candidate.carved.get());
         let built = locked(&self.current).clone();
         if self.candidates.is_empty() {
-            let (generators, boxes) = (built.generator_count(), built.occluders().len());
+            let (generators, boxes) = (built.solid_count(), built.occluders().len());
             return Prepared { objects: generators, prepared: generators, generators, boxes };
         }
         Prepared {
@@ -230,6 +245,9 @@ impl<'a> LazySolidBvh<'a> {
     /// Prepares candidates that the rays reach, and takes over what other threads prepared.
     #[inline]
     pub(super) fn reach(&self, rays: &[Ray], scratch: &mut LazyScratch) {
+        if scratch.id != self.id {
+            *scratch = self.scratch();
+        }
         if !scratch.waiting.candidates.is_empty() {
             self.claim(rays, scratch);
         }
@@ -281,8 +299,9 @@ impl<'a> LazySolidBvh<'a> {
         let (first, last) = (used().min().unwrap_or(0), used().max().unwrap_or(0));
         let positions = &self.positions[first as usize..=last as usize];
         let triangles: Vec<[u32; 3]> = own.iter().map(|triangle| triangle.map(|v| v - first)).collect();
-        let found = Solids::find(positions, &triangles, &[], &self.options.solids);
-        Carved::new(positions, &triangles, &found)
+        // What was checked before holds for parts of it: without an error this is the object's part.
+        let found = Solids::find(&ObjectMesh::new(positions, &triangles), &self.options.solids);
+        Carved::new(positions, &triangles, &found.unwrap_or_default())
     }
 
     /// Puts boxes into use once they are half as many as those in use, or have waited long; so all of it takes no longer than
@@ -291,7 +310,7 @@ impl<'a> LazySolidBvh<'a> {
     fn publish_if_due(&self, rays: u64) {
         let waited = self.waited.fetch_add(rays, Ordering::Relaxed) + rays;
         let (ready, published) = (self.ready.load(Ordering::Acquire), self.published.load(Ordering::Acquire));
-        if 2 * ready < 3 * published && waited < LONGEST_WAIT {
+        if 2 * ready < 3 * published && waited < MAX_WAITING_RAYS {
             return;
         }
         // One thread does it, and others go on with what they have.

@@ -16,9 +16,12 @@ pub use forecast::{Forecast, ShadowRays};
 pub use instances::{SolidInstances, SolidInstancesScratch};
 pub use lazy::{LazyScratch, LazySolidBvh, Prepared};
 
-use super::{Ends, Object, SolidOptions, Solids, carve::carve, ends, voxels::Voxels};
+use super::{
+    Ends, ObjectMesh, SolidOptions, Solids, carve::carve, ends, object_mesh::unique_id, voxels::Voxels,
+};
+use crate::OcclusionError;
 use std::sync::Arc;
-use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, Note, SolidPack};
+use umbrage_accel::{self as accel, BackEnd, BuildError, Bvh, NodeNote, SolidPack, Statistics};
 use umbrage_geom::{Aabb, Ray, SlabRay, glam::Vec3};
 
 /// Boxes of a pack.
@@ -96,7 +99,7 @@ struct Carved {
 impl Carved {
     fn new(positions: &[[f32; 3]], triangles: &[[u32; 3]], found: &Solids) -> Self {
         let mut this = Self::default();
-        for (index, generator) in found.generators().iter().enumerate() {
+        for (index, generator) in found.all().iter().enumerate() {
             let surface = found.surface(index, positions, triangles);
             // Boxes much larger than triangles are what counts, and about that many fit along a side.
             let resolution = (f64::from(generator.triangles).sqrt() / 4.0).clamp(24.0, MOST_VOXELS) as usize;
@@ -140,16 +143,19 @@ pub struct SolidBvh {
     bvh: Arc<Bvh>,
     packs: Vec<Pack>,
     carved: Carved,
+    /// See [`unique_id`].
+    id: u64,
 }
 
-/// What a thread keeps from ray to ray: for each light the boxes that ended rays last.
-///
-/// It belongs to one [`SolidBvh`]: with another, remembered boxes would be wrong.
+/// What a thread keeps from ray to ray: for each light the boxes that ended rays last. With another [`SolidBvh`] than before it
+/// starts anew.
 #[derive(Clone, Debug, Default)]
 pub struct SolidScratch {
     lights: Vec<Light>,
     /// More than [`MOST_LIGHTS`] were seen.
     many: bool,
+    /// [`SolidBvh::id`] of the boxes.
+    id: u64,
 }
 
 /// By pack, for the first ones on ways from the root.
@@ -188,57 +194,46 @@ impl LightPack {
     }
 }
 
-/// Work of a walk.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SolidCounters {
-    /// Of the hierarchy; tests of solid boxes aside.
-    pub walk: accel::Counters,
-    /// Rays that ended at a solid box.
-    pub solid_hits: u64,
-    /// Of these among the boxes that a light has met before, or that were there in their places.
-    pub first_hits: u64,
-}
-
 impl SolidBvh {
-    /// Finds generators among `objects` (the whole mesh if there are none) and puts boxes from inside of them into `bvh`, which
-    /// must be that of the mesh. It is copied if others use it too, and if there are any boxes.
+    /// Finds generators among the objects of `mesh` and puts boxes from inside of them into `bvh`, which must be that of the mesh.
+    /// It is copied if others use it too, and if there are any boxes.
     ///
-    /// # Panics
-    /// If a triangle names a vertex that does not exist, or an object triangles that don't.
+    /// # Errors
+    /// Those of [`Solids::find`]; [`OcclusionError::Triangles`] if `bvh` has not as many triangles as the mesh.
     pub fn build(
         bvh: Arc<Bvh>,
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
+        mesh: &ObjectMesh<'_>,
         options: &SolidBvhOptions,
-    ) -> Self {
-        let found = Solids::find(positions, triangles, objects, &options.solids);
-        Self::new(bvh, Carved::new(positions, triangles, &found))
+    ) -> Result<Self, OcclusionError> {
+        mesh.check_hierarchy(bvh.prim_count())?;
+        let found = Solids::find(mesh, &options.solids)?;
+        Ok(Self::new(bvh, Carved::new(mesh.positions, mesh.triangles, &found)))
     }
 
     /// [`Self::build`] where `rays` are expected to gain by it: there are 30 a triangle, [`Forecast::pays`], and generators have
     /// 4000 triangles, or 16,000 if rays come one by one. Nothing is copied otherwise, no box looked for if the audit of the
     /// objects says no, and nothing audited for fewer rays.
     ///
-    /// # Panics
+    /// # Errors
     /// As [`Self::build`].
     pub fn build_if_it_pays(
         bvh: &Arc<Bvh>,
-        positions: &[[f32; 3]],
-        triangles: &[[u32; 3]],
-        objects: &[Object],
-        rays: &ShadowRays,
+        mesh: &ObjectMesh<'_>,
+        rays: &ShadowRays<'_>,
         options: &SolidBvhOptions,
-    ) -> Option<Self> {
+    ) -> Result<Option<Self>, OcclusionError> {
+        mesh.check_hierarchy(bvh.prim_count())?;
+        let &ObjectMesh { positions, triangles, .. } = mesh;
         if rays.lights.is_empty() || rays.count < RAYS_PER_TRIANGLE * triangles.len() as f64 {
-            return None;
+            return Ok(None);
         }
-        let found = Solids::find(positions, triangles, objects, &options.solids);
-        if !Forecast::may_pay(found.generators(), triangles.len(), rays) {
-            return None;
+        let found = Solids::find(mesh, &options.solids)?;
+        if !Forecast::may_pay(found.all(), triangles.len(), rays) {
+            return Ok(None);
         }
         let carved = Carved::new(positions, triangles, &found);
-        carved.forecast(rays.lights, triangles.len()).pays().then(|| Self::new(bvh.clone(), carved))
+        let pays = carved.forecast(rays.lights, triangles.len()).pays();
+        Ok(pays.then(|| Self::new(bvh.clone(), carved)))
     }
 
     fn new(mut bvh: Arc<Bvh>, carved: Carved) -> Self {
@@ -246,16 +241,16 @@ impl SolidBvh {
         if !carved.solids.is_empty() {
             let places = places::choose(&bvh, &carved.solids);
             let owned = Arc::make_mut(&mut bvh);
-            (0..owned.view().node_count() as u32).for_each(|node| owned.set_note(node, Note::default()));
+            (0..owned.view().node_count() as u32).for_each(|node| owned.set_note(node, NodeNote::default()));
             for place in places {
                 let mut pack = Pack { top: place.top, ..Pack::EMPTY };
                 let boxes = place.solids.iter().enumerate();
                 boxes.for_each(|(lane, &solid)| pack.set(lane, &carved.solids[solid as usize], solid));
                 packs.push(pack);
-                owned.set_note(place.node, Note { index: packs.len() as u32, ..Note::default() });
+                owned.set_note(place.node, NodeNote { index: packs.len() as u32, ..NodeNote::default() });
             }
         }
-        Self { bvh, packs, carved }
+        Self { bvh, packs, carved, id: unique_id() }
     }
 
     /// What can be said of rays to `lights` (points; far away for distant ones).
@@ -270,30 +265,30 @@ impl SolidBvh {
         if self.packs.is_empty() {
             return self.bvh.any_hit(ray);
         }
-        self.bvh.any_hit_among(ray, &mut self.search(ends, light, scratch, &mut ()), &mut ())
+        self.bvh.any_hit_among_with(ray, &mut self.search(ends, light, scratch, &mut ()), &mut ())
     }
 
     /// What a thread needs to trace rays.
     pub fn scratch(&self) -> SolidScratch {
-        SolidScratch::default()
+        SolidScratch { id: self.id, ..SolidScratch::default() }
     }
 
     /// [`Self::any_hit`], counted.
-    pub fn any_hit_counted(
+    pub fn any_hit_with(
         &self,
         ray: &Ray,
         ends: Ends,
         light: Option<usize>,
         scratch: &mut SolidScratch,
-        counters: &mut SolidCounters,
+        stats: &mut impl Statistics,
     ) -> bool {
-        let mut walk = accel::Counters::default();
-        let hit = if self.packs.is_empty() {
-            self.bvh.any_hit_with(ray, &mut walk)
-        } else {
-            self.bvh.any_hit_among(ray, &mut self.search(ends, light, scratch, counters), &mut walk)
-        };
-        counters.walk += walk;
+        if self.packs.is_empty() {
+            return self.bvh.any_hit_with(ray, stats);
+        }
+        let mut ended = None;
+        let mut search = self.search(ends, light, scratch, &mut ended);
+        let hit = self.bvh.any_hit_among_with(ray, &mut search, stats);
+        ended.into_iter().for_each(|remembered| stats.ended_in_solid(remembered));
         hit
     }
 
@@ -325,10 +320,10 @@ impl SolidBvh {
             if single {
                 // A fan of one ray would cost more than the ray.
                 for (ray, hit) in rays[start..end].iter().zip(&mut hits[start..end]) {
-                    *hit = self.bvh.any_hit_among(ray, &mut search, &mut ());
+                    *hit = self.bvh.any_hit_among_with(ray, &mut search, &mut ());
                 }
             } else {
-                self.bvh.any_hits_among(&rays[start..end], &mut hits[start..end], &mut search, &mut ());
+                self.bvh.any_hits_among_with(&rays[start..end], &mut hits[start..end], &mut search, &mut ());
             }
             start = end;
         }
@@ -341,7 +336,10 @@ impl SolidBvh {
         scratch: &'a mut SolidScratch,
         watch: &'a mut W,
     ) -> Search<'a, W> {
-        let SolidScratch { lights, many } = scratch;
+        if scratch.id != self.id {
+            *scratch = self.scratch();
+        }
+        let SolidScratch { lights, many, .. } = scratch;
         if light.is_some_and(|light| light >= MOST_LIGHTS) {
             *many = true;
             lights.clear();
@@ -370,7 +368,7 @@ impl SolidBvh {
     }
 
     /// Number of generators that have occluders.
-    pub fn generator_count(&self) -> usize {
+    pub fn solid_count(&self) -> usize {
         self.carved.interiors.len()
     }
 
@@ -384,12 +382,10 @@ impl SolidBvh {
         self.packs.len()
     }
 
-    /// Share of random lines through the bounds of generator `index` that its boxes stop, before any triangle is asked.
-    ///
-    /// # Panics
-    /// If there is no such generator.
-    pub fn coverage(&self, index: usize) -> f32 {
-        self.carved.interiors[index].coverage
+    /// Share of random lines through the bounds of generator `index` that its boxes stop, before any triangle is asked; `None` if
+    /// there is no such generator.
+    pub fn coverage(&self, index: usize) -> Option<f32> {
+        self.carved.interiors.get(index).map(|interior| interior.coverage)
     }
 
     /// The hierarchy.
@@ -434,17 +430,17 @@ impl Interior {
     }
 }
 
-/// Watches where rays end; `()` does nothing.
+/// Is told of rays that end at a box, and whether their light remembers it; `()` does nothing.
 trait Watch {
-    fn solid(&mut self, _first: bool) {}
+    fn solid(&mut self, _remembered: bool) {}
 }
 
 impl Watch for () {}
 
-impl Watch for SolidCounters {
-    fn solid(&mut self, first: bool) {
-        self.solid_hits += 1;
-        self.first_hits += u64::from(first);
+/// Of one ray.
+impl Watch for Option<bool> {
+    fn solid(&mut self, remembered: bool) {
+        *self = Some(remembered);
     }
 }
 
@@ -484,7 +480,7 @@ impl<W> Search<'_, W> {
     }
 }
 
-impl<W: Watch> accel::Solids for Search<'_, W> {
+impl<W: Watch> accel::SolidBoxes for Search<'_, W> {
     #[inline(always)]
     fn pack(&self, index: u32) -> Option<&SolidPack> {
         self.find(index).map(|(pack, _)| &pack.boxes)

@@ -3,7 +3,7 @@
 //! A pack of eight costs a ray as much as one more node, so a node gets one where it stops enough of the rays that come so far.
 //! That is asked of random lines through the node.
 
-use crate::volumetric::{BoxPack, carve};
+use crate::volumetric::{boxes::BoxPack, carve};
 use umbrage_accel::{Bvh, Child, SolidPack};
 use umbrage_geom::{Aabb, SlabRay};
 
@@ -14,16 +14,16 @@ const LINES: usize = 512;
 const CANDIDATES: usize = 64;
 
 /// Least share of the lines not stopped further up that a pack must stop.
-const LEAST: f32 = 0.1;
+const MIN_PACK_SHARE: f32 = 0.1;
 
 /// Least share of them that a box must stop.
-const LEAST_BOX: f32 = 0.004;
+const MIN_BOX_SHARE: f32 = 0.004;
 
 /// Least area of the part of a box inside of a node, relative to the node's, or
-const LEAST_AREA: f32 = 0.02;
+const MIN_AREA_OF_NODE: f32 = 0.02;
 
 /// relative to the box's.
-const LEAST_PART: f32 = 0.25;
+const MIN_AREA_OF_BOX: f32 = 0.25;
 
 /// Levels that are looked at: further down, triangles are as good.
 const LEVELS: usize = 10;
@@ -77,7 +77,7 @@ impl Chooser<'_> {
     fn visit(&mut self, node: u32, bounds: &Aabb, mut candidates: Vec<u32>, level: usize) {
         let inside = |solid: &u32| common_area(&self.solids[*solid as usize], bounds);
         let least = |solid: &u32| {
-            f32::min(LEAST_AREA * bounds.area(), LEAST_PART * self.solids[*solid as usize].area())
+            f32::min(MIN_AREA_OF_NODE * bounds.area(), MIN_AREA_OF_BOX * self.solids[*solid as usize].area())
         };
         candidates.retain(|solid| inside(solid) > least(solid));
         candidates.sort_by(|a, b| inside(b).total_cmp(&inside(a)));
@@ -124,14 +124,14 @@ impl Chooser<'_> {
             else {
                 break;
             };
-            if (gain as f32) < LEAST_BOX * all || gain == 0 {
+            if (gain as f32) < MIN_BOX_SHARE * all || gain == 0 {
                 break;
             }
             open.iter_mut().zip(&stops[best]).for_each(|(open, stopped)| *open &= !stopped);
             stopped += gain;
             picked.push(candidates[best]);
         }
-        if (stopped as f32) < LEAST * all {
+        if (stopped as f32) < MIN_PACK_SHARE * all {
             picked.clear();
         }
         picked

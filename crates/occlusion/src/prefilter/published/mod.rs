@@ -1,9 +1,15 @@
 //! The algorithm as published: a binary hierarchy, one correlation height, pixels, Algorithm 1 with its interpolation.
 //!
 //! Here to be measured against, and to see what each departure of [`super::Prefiltered`] is worth. Scalar and recursive; a
-//! cube map of `f32` in every node.
+//! cube map of `f32` in every node. And what else only comparisons need: published variants of parts of what ships, ablations and
+//! other forms of storage (`variants.rs`).
 
-use super::{ConeRay, Directions, PrefilterError, correlation::heights};
+mod variants;
+
+pub use variants::{Blend, CellSampling, Correlation, SegmentEnds, Storage};
+
+use super::{ConeRay, Directions, correlation::heights};
+use crate::OcclusionError;
 use umbrage_accel::{BinaryNode, BinaryTree, BuildQuality};
 use umbrage_geom::{
     Aabb, Frame, Ray, SlabRay,
@@ -71,21 +77,21 @@ impl Published {
     /// paper). All triangles block the fraction `alpha`.
     ///
     /// # Errors
-    /// [`PrefilterError::Mesh`], [`PrefilterError::CorrelationHeight`], [`PrefilterError::Setting`] for directions outside
-    /// 1 to 12, [`PrefilterError::Opacity`].
+    /// [`OcclusionError::Mesh`], [`OcclusionError::CorrelationHeight`], [`OcclusionError::Setting`] for directions outside
+    /// 1 to 12, [`OcclusionError::Opacity`].
     pub fn build(
         positions: &[[f32; 3]],
         triangles: &[[u32; 3]],
         alpha: f32,
         correlation_height: f32,
         directions: u8,
-    ) -> Result<Self, PrefilterError> {
+    ) -> Result<Self, OcclusionError> {
         validate_slices(positions, triangles)?;
         if !(0.0..=1.0).contains(&alpha) {
-            return Err(PrefilterError::Opacity { index: 0, value: alpha });
+            return Err(OcclusionError::Opacity { index: 0, value: alpha });
         }
         let options = super::PrefilterOptions::default()
-            .with_correlation(super::Correlation::Height(correlation_height))
+            .with_correlation(Correlation::Height(correlation_height))
             .with_directions(directions);
         let directions = options.validate()?;
         let corners: Vec<_> = triangles.iter().map(|t| t.map(|v| positions[v as usize])).collect();
@@ -167,10 +173,10 @@ impl Published {
     /// Fraction of light that passes along `ray` with threshold `T`.
     ///
     /// # Errors
-    /// [`PrefilterError::Threshold`] if it is not above 0.
-    pub fn transmittance(&self, ray: &ConeRay, threshold: f32) -> Result<f32, PrefilterError> {
+    /// [`OcclusionError::Threshold`] if it is not above 0.
+    pub fn transmittance(&self, ray: &ConeRay, threshold: f32) -> Result<f32, OcclusionError> {
         if threshold.is_nan() || threshold <= 0.0 {
-            return Err(PrefilterError::Threshold(threshold));
+            return Err(OcclusionError::Threshold(threshold));
         }
         let Some(slab) = SlabRay::new(&ray.ray) else { return Ok(1.0) };
         let cells = self.directions.bilinear(ray.ray.direction);

@@ -1,18 +1,54 @@
-//! Why a prefiltered hierarchy could not be built or asked.
+//! Why a structure could not be built or asked.
 
 use umbrage_accel::BuildError;
 use umbrage_geom::{Cancelled, MeshError};
 
-/// Why prefiltering or a query failed. Nothing is changed when it does.
+/// Why a build or a query failed. Nothing is changed when it does.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum PrefilterError {
+pub enum OcclusionError {
     /// The geometry itself can't be used.
     #[error(transparent)]
     Mesh(#[from] MeshError),
     /// The hierarchy could not be built.
     #[error(transparent)]
-    Build(#[from] BuildError),
+    Build(BuildError),
+    /// An object names triangles that don't exist, or ends before it starts.
+    #[error("object {object} has the triangles {start} to {end} of {triangles}")]
+    Object {
+        /// Index of the object, from 0.
+        object: usize,
+        /// Its first triangle.
+        start: u32,
+        /// The one after its last.
+        end: u32,
+        /// How many triangles there are.
+        triangles: usize,
+    },
+    /// A triangle belongs to two objects.
+    #[error("triangle {triangle} belongs to the objects {} and {}", .objects[0], .objects[1])]
+    Overlap {
+        /// Index of the triangle, from 0.
+        triangle: u32,
+        /// Both objects.
+        objects: [usize; 2],
+    },
+    /// A hierarchy or tree is over other triangles than the mesh's.
+    #[error("a hierarchy of {count} triangles was given for a mesh of {triangles}")]
+    Triangles {
+        /// How many the hierarchy has.
+        count: usize,
+        /// How many the mesh has.
+        triangles: usize,
+    },
+    /// There is not one mesh for each hierarchy that is placed.
+    #[error("{meshes} meshes with solid boxes for {hierarchies} hierarchies")]
+    Meshes {
+        /// How many meshes came.
+        meshes: usize,
+        /// How many hierarchies there are.
+        hierarchies: usize,
+    },
     /// Opacities were neither one for all triangles nor one for each.
     #[error("{count} opacities for {triangles} triangles: give one for all, or one for each")]
     OpacityCount {
@@ -76,8 +112,17 @@ pub enum PrefilterError {
     Cancelled,
 }
 
-impl From<Cancelled> for PrefilterError {
+impl From<Cancelled> for OcclusionError {
     fn from(_: Cancelled) -> Self {
         Self::Cancelled
+    }
+}
+
+impl From<BuildError> for OcclusionError {
+    fn from(error: BuildError) -> Self {
+        match error {
+            BuildError::Cancelled(_) => Self::Cancelled,
+            other => Self::Build(other),
+        }
     }
 }
