@@ -22,7 +22,7 @@
 //! - `rows` are the keys that tell the table's rows apart, in the order in which the results have them; `label=key` names the column.
 //! - `name LABEL VALUE TEXT` writes a value of such a column in another way.
 //! - A cell's `{key:.2}` is the number with two digits, `{key*1000:.1}` times a thousand, `{key:+.3}` with its sign, `{key}` as it is. Before the
-//!   key may stand `mean`, `geomean`, `max`, `min`, `maxabs`, `sum` or `count`, over all results that fit; without one there is one result, or none,
+//!   key may stand `mean`, `geomean`, `inverse` (one over the geometric mean), `max`, `min`, `maxabs`, `sum` or `count`, over all results that fit; without one there is one result, or none,
 //!   which is a dash. `[filters]` after the key keep some of the results.
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -325,6 +325,7 @@ fn aggregated(how: Option<&str>, numbers: &[f64]) -> Result<f64> {
     Ok(match how {
         None => numbers[0],
         Some("mean") => all().sum::<f64>() / n,
+        Some("inverse") => (all().map(f64::ln).sum::<f64>() / -n).exp(),
         Some("geomean") => (all().map(f64::ln).sum::<f64>() / n).exp(),
         Some("max") => all().fold(f64::NEG_INFINITY, f64::max),
         Some("min") => all().fold(f64::INFINITY, f64::min),
