@@ -204,14 +204,10 @@ pub fn truth(options: &Options, output: &mut Output) -> Result<()> {
         let mut curves: Vec<(&str, Vec<[f64; 2]>)> = Vec::new();
         for rays in RAYS {
             let plain = PatternOptions::default().with_rays(rays);
-            let methods = [
-                ("rays", AoMethod::Rays, plain.clone()),
-                ("mask", AoMethod::Mask, plain.clone()),
-                ("mask:relaxed", AoMethod::Mask, published::relaxed(rays)),
-                ("mask-table", AoMethod::MaskTable, plain.clone()),
-                ("mask-prefilter", AoMethod::MaskPrefilter, plain.clone()),
-                ("prefilter", AoMethod::Prefilter, plain),
-            ];
+            // Every method that answers receivers or rays, and the published rays.
+            let all = AoMethod::ALL.iter().filter(|&&method| method != AoMethod::MaskRaster);
+            let mut methods: Vec<_> = all.map(|&method| (method.name(), method, plain.clone())).collect();
+            methods.push(("mask:relaxed", AoMethod::Mask, published::relaxed(rays)));
             let asked = |(name, method, options): (&'static str, AoMethod, PatternOptions)| -> Result<Asked> {
                 let sky = Sky::new(options.clone(), case.length());
                 let engine = engine::sky(method, &case.occluders, &sky, &mut |_| true)?;

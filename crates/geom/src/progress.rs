@@ -54,6 +54,23 @@ impl<'a> Progress<'a> {
         self.check()
     }
 
+    /// Asks the callback again whether to go on, within a long unit of work. Skipped while another thread asks.
+    ///
+    /// # Errors
+    /// [`Cancelled`] once the callback has returned `false`.
+    pub fn poll(&self) -> Result<(), Cancelled> {
+        if let Some(callback) = &self.callback
+            && let Ok(mut state) = callback.try_lock()
+            && state.reported < self.total
+        {
+            let fraction = (state.reported as f64 / self.total as f64) as f32;
+            if !(state.report)(fraction) {
+                self.cancelled.store(true, Ordering::Relaxed);
+            }
+        }
+        self.check()
+    }
+
     /// Whether work should go on.
     ///
     /// # Errors
@@ -81,6 +98,20 @@ impl<'a> Progress<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_long_unit_can_be_cancelled() {
+        let mut seen = Vec::new();
+        let mut callback = |f| {
+            seen.push(f);
+            seen.len() < 3
+        };
+        let progress = Progress::new(4, &mut callback);
+        progress.advance(1).unwrap();
+        progress.poll().unwrap();
+        assert!(progress.poll().is_err() && progress.check().is_err() && progress.finish().is_err());
+        assert_eq!(seen, [0.25; 3]);
+    }
 
     #[test]
     fn fractions_grow_and_end_at_one() {

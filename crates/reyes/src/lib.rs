@@ -10,8 +10,9 @@ mod subdiv;
 mod surface;
 mod trace;
 
+pub mod published;
+
 pub use error::SurfaceError;
-pub use mesh::bucket::{BucketOptions, Fragment, RasterCamera, rasterize};
 pub use mesh::rated::{RatedHit, RatedSurface};
 pub use options::{Borders, FootprintRule, Rates, TraceOptions};
 pub use patch::Bicubic;

@@ -162,6 +162,9 @@ fn bounds(levels: &[RasterLevel<'_>], receivers: &[Option<Receiver>]) -> Aabb {
     levels.iter().flat_map(|level| level.positions).fold(points, |aabb, &p| aabb.with_point(p))
 }
 
+/// Triangles of a tile after which the callback is asked again.
+const TRIANGLES_BETWEEN_POLLS: usize = 256;
+
 /// A call.
 struct Raster<'a, const W: usize> {
     tables: &'a MaskTables,
@@ -200,7 +203,7 @@ impl<const W: usize> Raster<'_, W> {
         let tiles = each(columns * rows, |index| {
             progress.check()?;
             let (column, row) = (index % columns, index / columns);
-            let tile = self.tile(&setting, [column, row], &reaches, &bands);
+            let tile = self.tile(&setting, [column, row], (&reaches, &bands), &progress);
             progress.advance(1)?;
             Ok::<_, MaskError>(tile)
         });
@@ -226,8 +229,8 @@ impl<const W: usize> Raster<'_, W> {
         &self,
         setting: &Setting<'_, W>,
         [column, row]: [usize; 2],
-        reaches: &[Vec<Reach>],
-        bands: &[Vec<Vec<u32>>],
+        (reaches, bands): (&[Vec<Reach>], &[Vec<Vec<u32>>]),
+        progress: &Progress<'_>,
     ) -> (Tile, Vec<[u64; W]>, Counters) {
         let at = [column * TILE, row * TILE];
         let pattern = self.tables.pattern();
@@ -241,7 +244,12 @@ impl<const W: usize> Raster<'_, W> {
                     let [first, last] = reaches[triangle as usize].columns;
                     (first..=last).contains(&(column as u16))
                 };
-                let mut triangles = bands[row].iter().filter(touches).map(|&triangle| triangle as usize);
+                let triangles = bands[row].iter().filter(touches).enumerate();
+                // A tile may take long: it ends early, unfinished, when the call is cancelled.
+                let mut triangles = triangles.map_while(|(number, &triangle)| {
+                    let goes_on = number % TRIANGLES_BETWEEN_POLLS != 0 || progress.poll().is_ok();
+                    goes_on.then_some(triangle as usize)
+                });
                 self.tables.options().back_end.run(Draw {
                     setting,
                     tile: &tile,
