@@ -1,7 +1,8 @@
-//! Tasks of the workspace: `cargo xtask ci`, `golden`, `bench`, `tables`, `peers`, `pictures`.
+//! Tasks of the workspace: `cargo xtask ci`, `golden`, `bench`, `tables`, `report`, `peers`, `pictures`.
 
 mod peers;
 mod pictures;
+mod report;
 mod tables;
 
 use anyhow::{Context, Result, bail};
@@ -72,6 +73,15 @@ enum Task {
         #[arg(long)]
         check: bool,
     },
+    /// Writes one page with all results: tables, plots and pictures of the docs, which needs no other file.
+    Report {
+        /// Where to write it.
+        #[arg(short, long, value_name = "FILE.html", default_value = "target/report.html")]
+        output: PathBuf,
+        /// Opens it in a browser without a screen, at the widths of a desktop and a phone, and keeps screenshots beside it.
+        #[arg(long)]
+        open: bool,
+    },
     /// Says how to install the libraries that `bench --peer` needs, and whether they are found.
     Peers,
     /// Renders the pictures of the docs again, into docs/images.
@@ -102,6 +112,7 @@ fn main() -> Result<()> {
             bench(&suite, quick, json.as_deref(), &peers, &rest)
         }
         Task::Tables { check } => tables::run(root(), check),
+        Task::Report { output, open } => report::run(root(), &output, open),
         Task::Peers => {
             peers::print();
             Ok(())

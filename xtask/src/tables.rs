@@ -346,7 +346,9 @@ fn formatted(number: f64, format: &str) -> Result<String> {
         .strip_prefix('.')
         .and_then(|digits| digits.parse().ok())
         .with_context(|| format!("'{format}' is no .DIGITS"))?;
-    Ok(if sign { format!("{number:+.digits$}") } else { format!("{number:.digits$}") })
+    // No sign for what rounds to nothing.
+    let number = if number.abs() < 0.5 * 10f64.powi(-(digits as i32)) { 0.0 } else { number };
+    Ok(if sign && number != 0.0 { format!("{number:+.digits$}") } else { format!("{number:.digits$}") })
 }
 
 #[cfg(test)]

@@ -189,7 +189,7 @@ impl Timed for Asked<'_> {
     fn run(&mut self) {
         let Self { case, receivers, engine, pattern, ao, spent, .. } = self;
         if engine.answers() == Answers::Rays {
-            engine::openness_by_rays(&**engine, pattern, case.length(), receivers, ao, &mut |_| true)
+            engine::openness_by_rays(&**engine, (pattern, case.length()), receivers, ao, &mut |_| true)
                 .expect("it answers rays");
             return;
         }

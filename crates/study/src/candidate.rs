@@ -193,8 +193,7 @@ impl<'a> Running<'a> {
                 }
                 Answers::Rays | Answers::Images => engine::openness_by_rays(
                     &*self.engine,
-                    pattern,
-                    *radius,
+                    (pattern, *radius),
                     &self.receivers,
                     &mut self.answers,
                     progress,

@@ -16,8 +16,7 @@ const BLOCK: usize = 64;
 /// Those of [`Engine::transmittances`]; [`QueryError::Cancelled`].
 pub fn openness_by_rays(
     engine: &dyn Engine,
-    pattern: &Pattern,
-    radius: f32,
+    (pattern, radius): (&Pattern, f32),
     receivers: &[Receiver],
     open: &mut [f32],
     progress: Report<'_>,
