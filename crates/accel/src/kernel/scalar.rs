@@ -118,7 +118,7 @@ impl Kernel for Scalar {
 
     #[inline]
     fn fan_filter(self, planes: &Self::Planes, rays: &FanRays<FAN>, r: usize) -> BlockMask {
-        planes.filter(rays.direction.map(|row| row[r]), rays.near[r], rays.far[r])
+        planes.filter([0, 1, 2].map(|axis| rays.direction[axis][r]), rays.near[r], rays.far[r])
     }
 
     #[inline]

@@ -82,7 +82,7 @@ impl Planes {
             let minus = |a: [f32; 3], b: [f32; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
             let edges =
                 [minus(corners[1], corners[2]), minus(corners[2], corners[0]), minus(corners[0], corners[1])];
-            let [a, b, c] = corners.map(|corner| minus(corner, origin));
+            let [a, b, c] = [minus(corners[0], origin), minus(corners[1], origin), minus(corners[2], origin)];
             for (normal, (corner, edge)) in this.normals.iter_mut().zip([c, a, b].into_iter().zip(edges)) {
                 for (row, x) in normal.iter_mut().zip(cross(corner, edge)) {
                     row[lane] = x;
@@ -132,7 +132,7 @@ impl Planes {
     pub fn filter_rays(&self, lane: usize, direction: [&[f32; LANES]; 3], far: &[f32; LANES]) -> BlockMask {
         let mut mask = BlockMask::default();
         for (i, &far) in far.iter().enumerate() {
-            match self.hit(lane, direction.map(|row| row[i]), 0.0, far) {
+            match self.hit(lane, [direction[0][i], direction[1][i], direction[2][i]], 0.0, far) {
                 Some(true) => mask.certain |= 1 << i,
                 Some(false) => {}
                 None => mask.uncertain |= 1 << i,
@@ -187,10 +187,17 @@ impl Planes {
         (front & self.used(), back & self.used())
     }
 
+    #[inline]
     fn hit(&self, lane: usize, direction: [f32; 3], near: f32, far: f32) -> Option<bool> {
-        let edges = self.normals.map(|normal| dot(direction, normal.map(|row| row[lane])));
+        // Spelled out: `array::map` is a call here, a fifth of the time of scalar rays.
+        let edge = |k: usize| {
+            let normal = &self.normals[k];
+            dot(direction, [normal[0][lane], normal[1][lane], normal[2][lane]])
+        };
+        let edges = [edge(0), edge(1), edge(2)];
         let error = self.error[lane];
-        let (positive, negative) = (edges.map(|e| e > error), edges.map(|e| e < -error));
+        let positive = [edges[0] > error, edges[1] > error, edges[2] > error];
+        let negative = [edges[0] < -error, edges[1] < -error, edges[2] < -error];
         if positive.contains(&true) && negative.contains(&true) {
             return Some(false);
         }
