@@ -15,10 +15,10 @@ use std::{
 };
 use umbrage::{
     bake::VAxis,
-    query::subdivide,
+    query::{SurfaceMode, subdivide},
     study::{Per, Study, StudyError, StudyOptions, Subject, html, run as run_study, table},
 };
-use umbrage_scene::{Ground, Scene, read_mesh, write_atomically};
+use umbrage_scene::{Ground, Scene, Settings, read_mesh, write_atomically};
 
 /// Measures time against error of every method that fits a mesh or a scene.
 ///
@@ -152,7 +152,9 @@ impl StudyArguments {
         let mut report = |_| bar.report(0.0);
         if self.subdivide {
             let control = umbrage_scene::mesh_file::read_polygons(path)?;
-            let scene = subdivide::scene_around(&name, &control, 1.0, |_| ()).with_context(source)?;
+            // Traced as such, so that the scene keeps the control mesh.
+            let keep = |settings: &mut Settings| settings.surfaces = SurfaceMode::Once.name().into();
+            let scene = subdivide::scene_around(&name, &control, 1.0, keep).with_context(source)?;
             return Subject::of_scene(&name, scene, &mut report).map_err(interrupted).with_context(source);
         }
         if is_mesh(path) {
