@@ -11,7 +11,7 @@ use umbrage_geom::{
     sampling::{combine, hash, pixel_seed, unit},
 };
 use umbrage_reyes::{
-    EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
+    EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState, published,
 };
 
 /// How shadow rays are traced.
@@ -204,7 +204,7 @@ fn trace(tracer: &SurfaceTracer, setting: &Setting) -> (Vec<f32>, usize, usize) 
                     }
                     Shadows::Deferred => {
                         let (ray, d) = shadow(origin, target, d_point, steps);
-                        tracer.any_hit_deferred(&ray, &d, &mut state)
+                        published::any_hit_deferred(&tracer, &ray, &d, &mut state)
                     }
                     Shadows::Backward => {
                         let (ray, d) = shadow(target, origin, steps, d_point);

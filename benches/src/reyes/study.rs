@@ -14,7 +14,7 @@ use crate::{
 use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
-use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, TraceOptions};
+use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, TraceOptions, published};
 
 const MAX_LEVEL: u8 = 9;
 
@@ -26,7 +26,7 @@ fn methods() -> Vec<Method> {
     let hull = tight.with_bounds(Bounds::Hull).with_tight_levels(0);
     let room = |options: TraceOptions| options.with_max_level(MAX_LEVEL).with_cache_bytes(ROOM);
     let trace = room(TraceOptions::default());
-    let published = |rule| room(TraceOptions::published(rule));
+    let published = |rule| room(published::trace_options(rule));
     let method = Method::new;
     let equal = trace.with_rates(Rates::Equal);
     vec![

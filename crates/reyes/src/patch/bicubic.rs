@@ -71,13 +71,13 @@ impl Speeds {
 
     /// Bound on the distance of cells, as pairs of triangles, from the surface at the same parameters.
     pub(crate) fn deviation(&self, levels: [u8; 2]) -> f64 {
-        let [a, b] = levels.map(crate::length::cell);
+        let [a, b] = levels.map(crate::rate::length::cell);
         0.125 * (a * a * self.bends[0] + 2.0 * a * b * self.bends[1] + b * b * self.bends[2])
     }
 
     /// Bound on the longest edge, both diagonals included, of cells of `2^-levels[0]` by `2^-levels[1]`.
     pub(crate) fn longest(&self, levels: [u8; 2]) -> f64 {
-        let [a, b] = levels.map(crate::length::cell);
+        let [a, b] = levels.map(crate::rate::length::cell);
         let (u, v) = (self.u * a, self.v * b);
         (u * u + v * v + 2.0 * self.dot * a * b).sqrt().max(u).max(v)
     }

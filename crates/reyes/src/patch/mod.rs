@@ -1,6 +1,7 @@
 //! Patches: a face with the faces around it, which can be refined without anything else (Djeu 2011, section 5.8.1).
 
 mod bicubic;
+pub(crate) mod kernel;
 mod node;
 mod ring;
 

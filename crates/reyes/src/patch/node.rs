@@ -7,7 +7,7 @@
 
 use super::{Bicubic, Ring, weights};
 use crate::{
-    kernel::{Columns, Kernel, LANES},
+    patch::kernel::{Columns, Kernel, LANES},
     subdiv::CreaseMethod,
     surface::LimitPoint,
 };

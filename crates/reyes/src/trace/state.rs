@@ -1,6 +1,6 @@
 //! What a thread keeps between rays.
 
-use crate::{TraceOptions, cache, dice::GridKey, grid::Grid};
+use crate::{TraceOptions, mesh::dice::GridKey, mesh::grid::Grid, trace::cache};
 use std::sync::Arc;
 use umbrage_geom::glam::Vec3;
 

@@ -5,7 +5,7 @@
 //! the whole image sees one watertight mesh. A micropolygon covers a pixel when the pixel's ray hits it by `geom`'s exact
 //! predicate, so buckets agree with ray tracing of the same mesh bit for bit.
 
-use crate::{Surface, SurfaceError, TraceCounts, length::MAX_LEVEL};
+use crate::{MAX_LEVEL, Surface, SurfaceError, TraceCounts};
 use umbrage_geom::{Aabb, Progress, Ray, glam::Vec3, intersect_triangle};
 
 /// A pinhole camera: the ray through the middle of pixel `(x, y)` runs along `corner + (x + 1/2) right + (y + 1/2) down`.

@@ -5,9 +5,9 @@
 
 use crate::{
     Surface, SurfaceError,
-    grid::{GRID_LEVEL, Grid, MAX_VERTICES},
-    length::{MAX_LEVEL, cell},
+    mesh::grid::{GRID_LEVEL, Grid, MAX_VERTICES},
     patch::Lattice,
+    rate::length::{MAX_LEVEL, cell},
     surface::SIZE,
 };
 use umbrage_geom::glam::Vec3;

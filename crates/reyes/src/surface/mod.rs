@@ -1,12 +1,14 @@
 //! A subdivision surface: its patches, how they meet, and points of the limit surface.
 
+mod build;
+
 use crate::{
     SurfaceError,
-    build::{Builder, check_objects, uv_control},
-    kernel::Kernel,
-    length::Lengths,
+    patch::kernel::Kernel,
     patch::{Kind, Lattice, Node, TreeContext},
+    rate::length::Lengths,
     subdiv::{NONE, SubdivisionMesh},
+    surface::build::{Builder, check_objects, uv_control},
 };
 use std::sync::{OnceLock, atomic::Ordering::Relaxed};
 use umbrage_accel::BackEnd;

@@ -6,9 +6,9 @@
 //! Departure: rates are powers of two, as everywhere in this crate.
 
 use crate::{
-    dice::{GridKey, Stitch},
-    length::cell,
+    mesh::dice::{GridKey, Stitch},
     patch::{Node, QUARTERS},
+    rate::length::cell,
     surface::{Meeting, SIZE},
     trace::Query,
 };
@@ -139,7 +139,7 @@ impl Query<'_, '_> {
             _ => None,
         };
         if let Some(levels) = uniform
-            && levels[0].max(levels[1]) <= part.depth + crate::grid::GRID_LEVEL
+            && levels[0].max(levels[1]) <= part.depth + crate::mesh::grid::GRID_LEVEL
         {
             let mut stitch = Stitch::default();
             for (edge, rate) in edges.into_iter().enumerate() {

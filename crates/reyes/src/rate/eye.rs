@@ -2,8 +2,8 @@
 
 use crate::{
     Surface, SurfaceError,
-    length::{MAX_LEVEL, cell},
     patch::Lattice,
+    rate::length::{MAX_LEVEL, cell},
     surface::SIZE,
 };
 use umbrage_geom::glam::{Affine3A, DVec3, Vec3};

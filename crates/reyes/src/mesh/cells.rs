@@ -4,7 +4,7 @@
 //! blocks a node has follows from the levels of its patch: blocks in Morton order, eight in turn. Vertices of a patch lie
 //! row by row, one axis after the other.
 
-use crate::grid::GridRay;
+use crate::mesh::grid::GridRay;
 use umbrage_accel::FAN;
 use umbrage_geom::{
     Aabb, Ray, TriangleHit,

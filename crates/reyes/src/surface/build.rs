@@ -2,8 +2,8 @@
 
 use crate::{
     SurfaceError,
-    length::Lengths,
     patch::{Kind, Node, Ring, TreeContext},
+    rate::length::Lengths,
     subdiv::{NONE, SubdivisionMesh},
     surface::{Link, Meeting, Patch},
 };

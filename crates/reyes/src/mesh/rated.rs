@@ -1,11 +1,10 @@
 //! A surface at one rate a patch, chosen once for all rays, such as by the camera of a picture.
 
 use crate::{
-    EyeRates, Surface, SurfaceError, SurfaceHit,
-    cells::Cells,
-    dice::{GridKey, Stitch},
-    grid::GridRay,
-    length::MAX_LEVEL,
+    EyeRates, MAX_LEVEL, Surface, SurfaceError, SurfaceHit,
+    mesh::cells::Cells,
+    mesh::dice::{GridKey, Stitch},
+    mesh::grid::GridRay,
     surface::LimitPoint,
 };
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};

@@ -1,9 +1,8 @@
 //! The whole surface as one watertight triangle mesh, at rates that the caller chooses.
 
 use crate::{
-    Surface, SurfaceError,
-    dice::{GridKey, Stitch},
-    length::MAX_LEVEL,
+    MAX_LEVEL, Surface, SurfaceError,
+    mesh::dice::{GridKey, Stitch},
     patch::{Children, quarter_at},
     subdiv::NONE,
     surface::{Meeting, SIZE},

@@ -2,7 +2,7 @@
 //!
 //! A grid depends on its key alone and lives as long as somebody holds it, so eviction costs time and never an answer.
 
-use crate::{dice::GridKey, grid::Grid};
+use crate::{mesh::dice::GridKey, mesh::grid::Grid};
 use std::{
     collections::{HashMap, VecDeque},
     hash::{BuildHasherDefault, Hash, Hasher},
