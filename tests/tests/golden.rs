@@ -13,7 +13,7 @@ use umbrage_image::{Film, read_exr, write_exr};
 use umbrage_query::Occluders;
 use umbrage_query::subdivide;
 use umbrage_render::{RenderOptions, render};
-use umbrage_scene::{Scene, mesh_file::read_polygons};
+use umbrage_scene::{Scene, read_polygons};
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("golden")

@@ -144,17 +144,17 @@ impl<'a, A> Fans<'a, A> {
 }
 
 /// What is asked of a fan.
-trait Asked: Answer {
+trait FanAnswer: Answer {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]);
 }
 
-impl Asked for bool {
+impl FanAnswer for bool {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]) {
         fans::any_hits(bvh, rays, per_fan, Sides::Both, back_end, answers).expect("valid fans");
     }
 }
 
-impl Asked for OpticalDepth {
+impl FanAnswer for OpticalDepth {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]) {
         let opacity = Self::from_opacity(ALPHA);
         fans::transmittances(bvh, rays, per_fan, Sides::Both, |_| opacity, back_end, answers)
@@ -162,7 +162,7 @@ impl Asked for OpticalDepth {
     }
 }
 
-impl<A: Asked> Entry<A> for Fans<'_, A> {
+impl<A: FanAnswer> Entry<A> for Fans<'_, A> {
     fn method(&self) -> &'static str {
         "fans"
     }

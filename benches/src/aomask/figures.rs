@@ -174,7 +174,7 @@ fn walk(
 }
 
 /// Seconds that rasterization of a picture may have taken at one radius for the next one to be tried.
-const PATIENCE: f64 = 60.0;
+const MAX_PICTURE_SECONDS: f64 = 60.0;
 
 /// Time of a picture against the radius, 128 rays: rasterization draws the picture, all others answer runs of neighbours among
 /// its receivers, and times are those of as many rays as the picture has.
@@ -200,7 +200,7 @@ fn figure6(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
             let picture_s = |row: &Row| all_rays / (row.mrays_s * 1e6);
             let extra = |row: &Row| json!({ "picture_s": picture_s(row) });
             let mut rows = measure::rows(case, &workload, super::passes(options), output, extra)?;
-            if raster_s <= PATIENCE {
+            if raster_s <= MAX_PICTURE_SECONDS {
                 let mut row = picture::raster_row(case, &picture, &tables, &workload.options, 1, params)?;
                 raster_s = row.time_s;
                 row.counters["picture_s"] = json!(raster_s);

@@ -9,7 +9,7 @@ use crate::rows::{Output, Row, median, paired_speedup};
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::time::Instant;
-use umbrage_reyes::{Bounds, FootprintRule, Surface, SurfaceOptions, TraceOptions, published};
+use umbrage_reyes::{FootprintRule, PatchBounds, Surface, SurfaceOptions, TraceOptions, published};
 
 /// One measurement of all methods.
 struct Figure {
@@ -56,12 +56,14 @@ fn max_level(shadows: Shadows) -> u8 {
 }
 
 /// Bytes of trees and of grids: everything that is made is kept, so that operations are those of the method and not of a cache.
-pub const ROOM: usize = 6 << 30;
+pub const CACHE_BYTES: usize = 6 << 30;
 
 fn methods(tight: u32, shadows: Shadows) -> [Method; 4] {
-    let surface =
-        SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(tight).with_tree_bytes(ROOM);
-    let trace = |trace: TraceOptions| trace.with_max_level(max_level(shadows)).with_cache_bytes(ROOM);
+    let surface = SurfaceOptions::default()
+        .with_bounds(PatchBounds::Hull)
+        .with_tight_levels(tight)
+        .with_tree_bytes(CACHE_BYTES);
+    let trace = |trace: TraceOptions| trace.with_max_level(max_level(shadows)).with_cache_bytes(CACHE_BYTES);
     let published = |name, rule| Method::new(name, surface, trace(published::trace_options(rule)));
     [
         published("entry", FootprintRule::Entry),
@@ -69,7 +71,7 @@ fn methods(tight: u32, shadows: Shadows) -> [Method; 4] {
         published("exact-final-approach", FootprintRule::ExactFinalApproach),
         Method::new(
             "default",
-            SurfaceOptions::default().with_tree_bytes(ROOM),
+            SurfaceOptions::default().with_tree_bytes(CACHE_BYTES),
             trace(TraceOptions::default()),
         ),
     ]

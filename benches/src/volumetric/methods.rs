@@ -60,7 +60,7 @@ pub struct Structures {
 }
 
 /// Less is measured several times, seconds.
-const SHORT: f64 = 0.2;
+const MIN_BUILD_SECONDS: f64 = 0.2;
 
 /// What is made of what was prepared, and the seconds that it took: the median of five if it is quick.
 fn timed<P, T>(prepare: impl Fn() -> P, make: impl Fn(P) -> T) -> (T, f64) {
@@ -71,7 +71,7 @@ fn timed<P, T>(prepare: impl Fn() -> P, make: impl Fn(P) -> T) -> (T, f64) {
         (made, start.elapsed().as_secs_f64())
     };
     let (made, first) = once();
-    if first > SHORT {
+    if first > MIN_BUILD_SECONDS {
         return (made, first);
     }
     let times: Vec<f64> = std::iter::once(first).chain((1..5).map(|_| once().1)).collect();

@@ -1,7 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
-pub mod color;
+mod color;
 pub mod compare;
 mod error;
 mod file;

@@ -22,31 +22,31 @@ use umbrage_geom::{
 };
 
 /// How far masks are exact, the first that will do: shares of the radius, or of the diagonal if that is less.
-const NEARS: [f32; 5] = [0.1, 0.15, 0.22, 0.33, 0.5];
+const EXACT_SHARES: [f32; 5] = [0.1, 0.15, 0.22, 0.33, 0.5];
 
 /// Cells of the field over which masks are exact at least; more in proportion for larger shares.
-const NEAR_CELLS: f32 = 2.25;
+const MIN_EXACT_CELLS: f32 = 2.25;
 
 /// What the field may add to the mean of exact rays, and to their RMS error, over the receivers of a group. Walls and floors are
 /// darkened by cells that hold themselves.
-const MOST_BIAS: f64 = 0.005;
-const MOST_RMSE: f64 = 0.0125;
+const MAX_BIAS: f64 = 0.005;
+const MAX_ADDED_RMSE: f64 = 0.0125;
 
 /// Standard errors of the sample by which it has to stay below these limits: it speaks for receivers that are not in it.
-const CONFIDENCE: f64 = 3.0;
+const BOUND_STANDARD_ERRORS: f64 = 3.0;
 
 /// Receivers that are looked at to find those of a group, and most that are sampled of each.
-const CANDIDATES: usize = 8192;
-const SAMPLES: usize = 512;
+const MAX_CANDIDATES: usize = 8192;
+const MAX_GROUP_SAMPLES: usize = 512;
 
 /// Fewer say little of a standard error: such a group counts with the other.
-const FEWEST: usize = 32;
+const MIN_GROUP_SAMPLES: usize = 32;
 
 /// Most triangles that are left to exact rays.
-const LARGE: usize = 8;
+const MAX_LARGE_TRIANGLES: usize = 8;
 
 /// Distance from a large triangle within which a receiver counts as on it, in diagonals of all others.
-const ON_LARGE: f64 = 1e-3;
+const ON_LARGE_DISTANCE: f64 = 1e-3;
 
 /// The triangles of a scene as masks see them.
 pub(crate) struct Blockers<'a, D> {
@@ -104,7 +104,7 @@ impl Pilot {
 
     /// Numbers of a sample of `count` receivers, rising: one at random of each of equal runs, or all of few.
     pub fn indices(count: usize) -> impl Iterator<Item = usize> {
-        let n = CANDIDATES.min(count);
+        let n = MAX_CANDIDATES.min(count);
         (0..n).map(move |i| {
             let run = count as f64 / n as f64;
             let at = (i as f64 + f64::from(unit(hash(i as u32)))) * run;
@@ -122,7 +122,7 @@ struct Group {
 
 impl Group {
     fn new(candidates: Vec<Receiver>, share: f64) -> Self {
-        let (all, n) = (candidates.len(), candidates.len().min(SAMPLES));
+        let (all, n) = (candidates.len(), candidates.len().min(MAX_GROUP_SAMPLES));
         let receivers: Vec<Receiver> = (0..n).map(|i| candidates[i * all / n]).collect();
         Self { unseen: 1.0 - share * n as f64 / all.max(1) as f64, receivers }
     }
@@ -138,13 +138,13 @@ impl Group {
 
 /// A triangle that is left to exact rays.
 #[derive(Clone, Debug, PartialEq)]
-struct Large {
+struct LargeTriangle {
     corners: [[f32; 3]; 3],
     /// Fraction of light that a crossing lets through.
     passes: f32,
 }
 
-impl Large {
+impl LargeTriangle {
     /// Whether `point` is above or below the triangle by `most` or less.
     fn has(&self, point: Vec3, most: f64) -> bool {
         let [a, b, c] = self.corners.map(|p| Vec3::from(p).as_dvec3());
@@ -159,7 +159,7 @@ pub(crate) struct FarOpacity {
     field: OpacityField,
     diagonal: f32,
     /// Triangles without which all others lie close together, such as a wide ground: too large for the field.
-    large: Vec<Large>,
+    large: Vec<LargeTriangle>,
     /// Where errors are looked at when it isn't known who will ask.
     samples: Pilot,
 }
@@ -188,8 +188,8 @@ impl FarOpacity {
         let field = OpacityField::build_transparent(&mesh.positions, &rest, &of_rest, &options, progress)?;
         let diagonal = bounds_of(mesh, &rest).diagonal();
         let passes = |i: usize| opacities.get(i).map_or(0.0, |opacity| 1.0 - opacity.clamp(0.0, 1.0));
-        let large = large.into_iter().map(|i| Large { corners: mesh.triangle(i), passes: passes(i) });
-        let large: Vec<Large> = large.collect();
+        let large = large.into_iter().map(|i| LargeTriangle { corners: mesh.triangle(i), passes: passes(i) });
+        let large: Vec<LargeTriangle> = large.collect();
         let samples = samples(mesh, &rest, &large)?;
         Ok(Self { field, diagonal, large, samples })
     }
@@ -201,8 +201,8 @@ impl FarOpacity {
     }
 
     /// How far masks of `pattern`, which has `options`, are to be exact so that the whole errs little at the receivers that the
-    /// pilot stands for: over those on large triangles and over all others, the field adds at most [`MOST_BIAS`] to the mean and
-    /// [`MOST_RMSE`] to the RMS error, both with [`CONFIDENCE`] standard errors to spare. A pilot without receivers stands for the
+    /// pilot stands for: over those on large triangles and over all others, the field adds at most [`MAX_BIAS`] to the mean and
+    /// [`MAX_ADDED_RMSE`] to the RMS error, both with [`BOUND_STANDARD_ERRORS`] standard errors to spare. A pilot without receivers stands for the
     /// surfaces of the scene. `None` if the field is of no use, because it would have to begin too far away.
     ///
     /// # Errors
@@ -228,8 +228,8 @@ impl FarOpacity {
             known.push((group, ask(None, &many, group)?, ask(None, pattern, group)?));
         }
         let extent = masks.radius.min(self.diagonal);
-        'nears: for share in NEARS {
-            let near = (share * extent).max(share / NEARS[0] * NEAR_CELLS * self.field.cell());
+        'nears: for share in EXACT_SHARES {
+            let near = (share * extent).max(share / EXACT_SHARES[0] * MIN_EXACT_CELLS * self.field.cell());
             if known.is_empty() || near >= extent {
                 break;
             }
@@ -240,8 +240,8 @@ impl FarOpacity {
                 let [bias, bias_error] = group.estimate(|i| f64::from(ao[i]) - f64::from(exact[i]));
                 let [added, added_error] =
                     group.estimate(|i| error(ao[i], i).powi(2) - error(exact[i], i).powi(2));
-                if bias.abs() + CONFIDENCE * bias_error > MOST_BIAS
-                    || added + CONFIDENCE * added_error > MOST_RMSE.powi(2)
+                if bias.abs() + BOUND_STANDARD_ERRORS * bias_error > MAX_BIAS
+                    || added + BOUND_STANDARD_ERRORS * added_error > MAX_ADDED_RMSE.powi(2)
                 {
                     continue 'nears;
                 }
@@ -253,13 +253,13 @@ impl FarOpacity {
 
     /// Receivers on large triangles, and all others; one group if either has few.
     fn groups(&self, pilot: &Pilot) -> Vec<Group> {
-        let most = ON_LARGE * f64::from(self.diagonal);
+        let most = ON_LARGE_DISTANCE * f64::from(self.diagonal);
         let on_large = |receiver: &Receiver| self.large.iter().any(|large| large.has(receiver.point(), most));
         let all = &pilot.receivers;
         let (on, off): (Vec<Receiver>, Vec<Receiver>) = all.iter().copied().partition(on_large);
         let share = (all.len() as f64 / pilot.of.max(1) as f64).min(1.0);
         let parts = match on.len().min(off.len()) {
-            0..FEWEST if share < 1.0 || on.is_empty() || off.is_empty() => vec![all.clone()],
+            0..MIN_GROUP_SAMPLES if share < 1.0 || on.is_empty() || off.is_empty() => vec![all.clone()],
             _ => vec![off, on],
         };
         let parts = parts.into_iter().filter(|part| !part.is_empty());
@@ -279,13 +279,13 @@ impl FarOpacity {
 
 /// Points on the fronts of `rest`, half of them by area and half by number of triangles, and on large triangles near the rest,
 /// on its side of them; the same in every run.
-fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pilot, MaskError> {
+fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[LargeTriangle]) -> Result<Pilot, MaskError> {
     let corners = |i: usize| rest[i].map(|v| Vec3::from(mesh.positions[v as usize]).as_dvec3());
     let area = |i: usize| {
         let [a, b, c] = corners(i);
         (b - a).cross(c - a).length()
     };
-    let half = SAMPLES / 2;
+    let half = MAX_GROUP_SAMPLES / 2;
     let count = half.min(rest.len());
     let mut chosen: Vec<usize> = (0..count).map(|i| i * rest.len() / count).collect();
     let total: f64 = (0..rest.len()).map(area).sum();
@@ -297,7 +297,7 @@ fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pi
             next += 1;
         }
     }
-    let mut receivers = Vec::with_capacity(chosen.len() + SAMPLES);
+    let mut receivers = Vec::with_capacity(chosen.len() + MAX_GROUP_SAMPLES);
     let mut add = |point: DVec3, normal: DVec3, magnitude: f64, seed: u32| {
         let normal = normal.as_vec3();
         if normal != Vec3::ZERO {
@@ -315,7 +315,7 @@ fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pi
         add(point, (b - a).cross(c - a).normalize_or_zero(), size([a, b, c]), seed)?;
     }
     let near = bounds_of(mesh, rest);
-    for number in 0..if large.is_empty() { 0 } else { SAMPLES as u32 } {
+    for number in 0..if large.is_empty() { 0 } else { MAX_GROUP_SAMPLES as u32 } {
         let seed = combine(number, 4);
         let [u, v, w] = [0, 1, 2].map(|axis| f64::from(unit(combine(seed, axis))));
         let spread = (DVec3::new(u, v, w) * 2.0 - 0.5) * (near.max - near.min).as_dvec3();
@@ -325,7 +325,7 @@ fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pi
         // Above and below the box of the rest and its surroundings.
         let point = near.min.as_dvec3() + spread;
         let point = point - normal * (point - a).dot(normal);
-        if large.has(point.as_vec3(), ON_LARGE * f64::from(near.diagonal())) {
+        if large.has(point.as_vec3(), ON_LARGE_DISTANCE * f64::from(near.diagonal())) {
             let side = if (near.center().as_dvec3() - a).dot(normal) < 0.0 { -normal } else { normal };
             add(point, side, size([a, b, c]), seed)?;
         }
@@ -336,7 +336,7 @@ fn samples(mesh: &TriangleMesh, rest: &[[u32; 3]], large: &[Large]) -> Result<Pi
 /// [`FarOpacity`] for one pattern.
 pub(crate) struct FarCones<'a> {
     cones: FieldCones<'a>,
-    large: &'a [Large],
+    large: &'a [LargeTriangle],
 }
 
 impl FarField for FarCones<'_> {
@@ -368,21 +368,21 @@ fn bounds_of(mesh: &TriangleMesh, triangles: &[[u32; 3]]) -> Aabb {
     corners.fold(Aabb::EMPTY, |aabb, &v| aabb.with_point(mesh.positions[v as usize]))
 }
 
-/// The fewest triangles, at most [`LARGE`], without which the diagonal of all others is less than half: their numbers, rising.
+/// The fewest triangles, at most [`MAX_LARGE_TRIANGLES`], without which the diagonal of all others is less than half: their numbers, rising.
 fn large(mesh: &TriangleMesh) -> Vec<usize> {
     let extent = |&i: &usize| {
         let [a, b, c] = mesh.triangle(i).map(Vec3::from);
         a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a))
     };
-    let mut largest: Vec<usize> = Vec::with_capacity(LARGE + 1);
+    let mut largest: Vec<usize> = Vec::with_capacity(MAX_LARGE_TRIANGLES + 1);
     for i in 0..mesh.triangles.len() {
         let size = extent(&i);
-        if largest.len() == LARGE && size <= extent(&largest[LARGE - 1]) {
+        if largest.len() == MAX_LARGE_TRIANGLES && size <= extent(&largest[MAX_LARGE_TRIANGLES - 1]) {
             continue;
         }
         let at = largest.partition_point(|other| extent(other) >= size);
         largest.insert(at, i);
-        largest.truncate(LARGE);
+        largest.truncate(MAX_LARGE_TRIANGLES);
     }
     // Bounds of what is left without the first `n`, growing as triangles come back.
     let mut taken = largest.clone();
@@ -447,7 +447,8 @@ mod tests {
         let mut opacities = vec![1.0; mesh.triangles.len()];
         opacities[41] = 0.25;
         let far = FarOpacity::build(&mesh, &opacities, &mut |_| true).unwrap();
-        let parts = [(40, 0.0), (41, 0.75)].map(|(i, passes)| Large { corners: mesh.triangle(i), passes });
+        let parts =
+            [(40, 0.0), (41, 0.75)].map(|(i, passes)| LargeTriangle { corners: mesh.triangle(i), passes });
         assert!(far.diagonal < 2.0 && far.large == parts);
         // Straight down beside the small ones there is the ground alone, which the field doesn't have.
         let mut cones = Cones { origin: Vec3::new(-3.0, 4.0, 0.0), ..Cones::default() };
@@ -481,7 +482,7 @@ mod tests {
     fn samples_are_spread_over_all_receivers() {
         assert_eq!(Pilot::indices(5).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
         assert_eq!(Pilot::indices(0).count(), 0);
-        let some: Vec<usize> = Pilot::indices(10 * CANDIDATES).collect();
+        let some: Vec<usize> = Pilot::indices(10 * MAX_CANDIDATES).collect();
         assert!(some.iter().enumerate().all(|(i, at)| at / 10 == i));
         let group = Group::new(Vec::new(), 1.0);
         assert!(group.receivers.is_empty());
@@ -594,7 +595,7 @@ mod tests {
             let options = PatternOptions::default().with_rays(rays);
             let pattern = Pattern::new(&options).unwrap();
             let masks = MaskOptions::default().with_radius(radius);
-            let receivers = self.receivers(1, SAMPLES, SAMPLES).concat();
+            let receivers = self.receivers(1, MAX_GROUP_SAMPLES, MAX_GROUP_SAMPLES).concat();
             let pilot = Pilot { of: 1 << 20, receivers };
             self.far.near(&self.blockers(), &pattern, &options, &masks, &pilot).unwrap()
         }
@@ -662,7 +663,7 @@ mod tests {
                 let errors = held_out(&case, radius, near);
                 fields += 1;
                 assert_eq!(errors.len(), 1 + usize::from(ground));
-                assert!(errors.iter().all(|e| e.abs() <= MOST_BIAS), "{name} {ground} {radius}: {errors:?}");
+                assert!(errors.iter().all(|e| e.abs() <= MAX_BIAS), "{name} {ground} {radius}: {errors:?}");
             }
         }
         assert!(fields >= 4, "nearly everything was exact: {fields}");
@@ -676,7 +677,7 @@ mod tests {
             let radius = f32::INFINITY;
             let near = case.near(radius, 64).expect("foliage that the field can answer");
             let errors = held_out(&case, radius, near);
-            assert!(errors.iter().all(|e| e.abs() <= MOST_BIAS), "{opacity}: {errors:?}");
+            assert!(errors.iter().all(|e| e.abs() <= MAX_BIAS), "{opacity}: {errors:?}");
             // What lies far away is not left out.
             let pattern = Pattern::new(&PatternOptions::default().with_rays(64)).unwrap();
             let [receivers, _] = case.receivers(5, 0, 200);

@@ -10,7 +10,7 @@ use umbrage_reyes::{EyeRates, RatedSurface, Surface, SurfaceError, SurfaceOption
 use umbrage_scene::{Ground, Scene, Settings, Subdivision, SubdivisionRate};
 
 /// Level of the mesh around which a camera is placed.
-const ROUGH_LEVEL: u8 = 2;
+const FRAMING_LEVEL: u8 = 2;
 
 /// Most times that a face is halved for a camera, however near.
 pub(crate) const MAX_LEVEL: u8 = 8;
@@ -98,7 +98,7 @@ pub fn scene_around(
     settings: impl FnOnce(&mut Settings),
 ) -> Result<Scene, QueryError> {
     let failed = |source| QueryError::Surface { object: name.into(), source };
-    let rough = mesh_at_level(control, ROUGH_LEVEL).map_err(failed)?;
+    let rough = mesh_at_level(control, FRAMING_LEVEL).map_err(failed)?;
     let mut scene = Scene::around_mesh(name, rough, Ground::Below).map_err(|e| failed(e.into()))?;
     settings(&mut scene.settings);
     let rate = SubdivisionRate::Pixels(pixels);

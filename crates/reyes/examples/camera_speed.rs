@@ -8,7 +8,7 @@ use umbrage_reyes::{
     EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
     camera_differential, light_differential,
 };
-use umbrage_scene::mesh_file::read_polygons;
+use umbrage_scene::read_polygons;
 
 struct Camera {
     eye: Vec3,

@@ -6,7 +6,7 @@ use std::{
     process::{Command, Output},
 };
 use tempfile::TempDir;
-use umbrage::scene::mesh_file::read_ply_vertices;
+use umbrage::scene::read_ply_vertices;
 
 const SCENE: &str = r#"
 [image]

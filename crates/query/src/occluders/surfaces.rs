@@ -15,7 +15,7 @@ use umbrage_reyes::{LimitPoint, RatedSurface, SurfaceTracer, TraceOptions, Trace
 use umbrage_scene::{Scene, Subdivision, SubdivisionRate};
 
 /// Share of a surface's extent by which its box in world space is padded, far more than what transforms round.
-const PADDING: f32 = 1e-5;
+const BOX_PADDING: f32 = 1e-5;
 
 /// What was made of the surfaces so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,13 +34,13 @@ pub struct SurfaceWork {
 }
 
 /// A surface in its own space.
-struct Body {
-    traced: Traced,
+struct TracedSurface {
+    traced: SurfaceRates,
     /// First face of each object but the first.
     object_starts: Vec<u32>,
 }
 
-enum Traced {
+enum SurfaceRates {
     /// Rates by each ray's footprint; states that threads keep between rays.
     Footprint(SurfaceTracer, Mutex<Vec<TraceState>>),
     /// One rate a patch.
@@ -48,7 +48,7 @@ enum Traced {
 }
 
 struct PlacedSurface {
-    body: Arc<Body>,
+    body: Arc<TracedSurface>,
     object_from_world: DAffine3,
     world_from_object: Affine3A,
     normal_matrix: Mat3A,
@@ -59,7 +59,7 @@ struct PlacedSurface {
 /// All surfaces of a scene.
 pub(super) struct Surfaces {
     placed: Vec<PlacedSurface>,
-    bodies: Vec<Arc<Body>>,
+    bodies: Vec<Arc<TracedSurface>>,
     top: BoxBvh,
     bounds: Aabb,
 }
@@ -76,7 +76,7 @@ struct Hit {
     face: Vec3,
 }
 
-impl Body {
+impl TracedSurface {
     fn build(
         scene: &Scene,
         mesh: usize,
@@ -89,9 +89,9 @@ impl Body {
                 let surface = subdivide::traced_surface(subdivision).map_err(failed)?;
                 let options = TraceOptions::default().with_edge(pixels).with_max_level(subdivide::MAX_LEVEL);
                 let tracer = SurfaceTracer::new(surface, &options).map_err(failed)?;
-                Traced::Footprint(tracer, Mutex::default())
+                SurfaceRates::Footprint(tracer, Mutex::default())
             }
-            _ => Traced::Once(subdivide::rated(scene, mesh, subdivision).map_err(failed)?),
+            _ => SurfaceRates::Once(subdivide::rated(scene, mesh, subdivision).map_err(failed)?),
         };
         let object_starts = subdivision.control.objects.iter().skip(1).map(|o| o.faces.start).collect();
         Ok(Self { traced, object_starts })
@@ -99,8 +99,8 @@ impl Body {
 
     fn surface(&self) -> &umbrage_reyes::Surface {
         match &self.traced {
-            Traced::Footprint(tracer, _) => tracer.surface(),
-            Traced::Once(rated) => rated.surface(),
+            SurfaceRates::Footprint(tracer, _) => tracer.surface(),
+            SurfaceRates::Once(rated) => rated.surface(),
         }
     }
 
@@ -123,10 +123,10 @@ impl Body {
 
     fn any_hit(&self, ray: &Ray, differential: &RayDifferential, stats: &mut impl Statistics) -> bool {
         match &self.traced {
-            Traced::Footprint(tracer, states) => {
+            SurfaceRates::Footprint(tracer, states) => {
                 Self::with_state(tracer, states, stats, |state| tracer.any_hit(ray, differential, state))
             }
-            Traced::Once(rated) => rated.any_hit(ray),
+            SurfaceRates::Once(rated) => rated.any_hit(ray),
         }
     }
 
@@ -137,7 +137,7 @@ impl Body {
         stats: &mut impl Statistics,
     ) -> Option<Hit> {
         match &self.traced {
-            Traced::Footprint(tracer, states) => {
+            SurfaceRates::Footprint(tracer, states) => {
                 let hit = Self::with_state(tracer, states, stats, |state| {
                     tracer.closest_hit(ray, differential, state)
                 })?;
@@ -146,7 +146,7 @@ impl Body {
                 let leave = tracer.leave(&hit, side);
                 Some(Hit { t: hit.t, patch: hit.patch, front: hit.front, limit, leave, face: limit.normal })
             }
-            Traced::Once(rated) => {
+            SurfaceRates::Once(rated) => {
                 let hit = rated.closest_hit(ray)?;
                 let [a, b, c] = rated.corners(&hit).map(|p| Vec3::from(p).as_dvec3());
                 let face = (b - a).cross(c - a).normalize_or_zero();
@@ -205,13 +205,15 @@ impl Surfaces {
         if mode == SurfaceMode::Mesh || !scene.instances.iter().any(|instance| is_surface(instance.mesh)) {
             return Ok(None);
         }
-        let mut of_mesh: Vec<Option<Arc<Body>>> = vec![None; scene.meshes.len()];
+        let mut of_mesh: Vec<Option<Arc<TracedSurface>>> = vec![None; scene.meshes.len()];
         let mut placed = Vec::new();
         for instance in scene.instances.iter().filter(|instance| is_surface(instance.mesh)) {
             let slot = &mut of_mesh[instance.mesh];
             let body = match (&slot, &scene.meshes[instance.mesh].subdivision) {
                 (Some(body), _) => Arc::clone(body),
-                (None, Some(subdivision)) => Arc::new(Body::build(scene, instance.mesh, subdivision, mode)?),
+                (None, Some(subdivision)) => {
+                    Arc::new(TracedSurface::build(scene, instance.mesh, subdivision, mode)?)
+                }
                 (None, None) => continue,
             };
             *slot = Some(Arc::clone(&body));
@@ -253,14 +255,14 @@ impl Surfaces {
             work.patches += patches;
             work.bytes += body.surface().bytes() as u64;
             match &body.traced {
-                Traced::Footprint(tracer, _) => {
+                SurfaceRates::Footprint(tracer, _) => {
                     let counts = tracer.counts();
                     work.grids += counts.dice;
                     work.micropolygons += counts.micropolygons;
                     work.evicted += counts.evicted;
                     work.bytes += (tracer.bvh_bytes() + tracer.peak_grid_bytes()) as u64;
                 }
-                Traced::Once(rated) => {
+                SurfaceRates::Once(rated) => {
                     work.grids += patches;
                     work.micropolygons += rated.micropolygons();
                     work.bytes += rated.bytes() as u64;
@@ -279,7 +281,7 @@ impl Surfaces {
         stats: &mut impl Statistics,
     ) {
         if let [placed] = &self.placed[..]
-            && let Traced::Once(rated) = &placed.body.traced
+            && let SurfaceRates::Once(rated) = &placed.body.traced
         {
             // Rays of one origin walk together.
             for (rays, blocked) in rays.chunks(FAN).zip(blocked.chunks_mut(FAN)) {
@@ -344,6 +346,6 @@ fn world_bounds(placed: &PlacedSurface) -> Aabb {
     };
     let bounds = (0..8).map(corner).fold(Aabb::EMPTY, |bounds, p| bounds.with_point(p.to_array()));
     let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
-    let padding = Vec3::splat(PADDING * (bounds.diagonal() + largest));
+    let padding = Vec3::splat(BOX_PADDING * (bounds.diagonal() + largest));
     Aabb { min: bounds.min - padding, max: bounds.max + padding }
 }

@@ -17,10 +17,10 @@ use umbrage_geom::{
 };
 
 /// Fewest rays of one origin that walk together.
-const SMALLEST_FAN: usize = 3;
+const MIN_FAN_RAYS: usize = 3;
 
 /// Boxes up to which the hierarchy is built with care.
-const CAREFUL: usize = 1 << 15;
+const MAX_HIGH_QUALITY_BOXES: usize = 1 << 15;
 
 /// Where a ray meets a [`RatedSurface`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,7 +72,8 @@ impl RatedSurface {
             surface.place_vertices(&key, counts, &mut positions, &mut parameters);
             cells.push(&positions, !key.stitch.is_none(), &mut boxes);
         }
-        let quality = if boxes.len() <= CAREFUL { BuildQuality::High } else { BuildQuality::Fast };
+        let quality =
+            if boxes.len() <= MAX_HIGH_QUALITY_BOXES { BuildQuality::High } else { BuildQuality::Fast };
         Ok(Self { bvh: BoxBvh::build(&boxes, quality)?, cells, levels, surface })
     }
 
@@ -144,7 +145,7 @@ impl RatedSurface {
             let end = start + rays[start..].iter().take(FAN).take_while(same).count();
             let (fan, answers) = (&rays[start..end], &mut hits[start..end]);
             let mut answered = 0;
-            if fan.len() >= SMALLEST_FAN {
+            if fan.len() >= MIN_FAN_RAYS {
                 let mut visitor =
                     FanVisitor { surface: self, rays: fan, origin: first.origin.to_array(), hits: 0 };
                 answered = self.bvh.walk_fan(fan, &mut visitor);

@@ -5,7 +5,7 @@ use crate::{
     mesh::dice::{GridKey, Stitch},
     patch::{Children, quarter_at},
     subdiv::NONE,
-    surface::{Meeting, SIZE},
+    surface::{Meeting, PARAMETER_END},
 };
 use umbrage_geom::{Aabb, MeshError, TriangleMesh, mesh::MAX_ELEMENTS};
 
@@ -97,7 +97,7 @@ impl Surface {
     pub(crate) fn stitched_ends(&self, part: &GridKey, edge: usize, shift: u8) -> Aabb {
         let axis = edge % 2;
         let (corner, size) = part.corner();
-        let step = SIZE >> (part.levels[axis] - shift);
+        let step = PARAMETER_END >> (part.levels[axis] - shift);
         let ends = [corner[axis] / step * step, (corner[axis] + size).div_ceil(step) * step];
         ends.into_iter()
             .fold(Aabb::EMPTY, |bounds, at| bounds.with_point(self.border_position(part, edge, at)))

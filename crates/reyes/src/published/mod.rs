@@ -9,7 +9,7 @@ mod diagsplit;
 mod rules;
 
 use crate::{Borders, FootprintRule, Rates, TraceOptions};
-pub use bucket::{BucketOptions, Fragment, RasterCamera, rasterize};
+pub use bucket::{BucketCamera, BucketOptions, Fragment, rasterize_buckets};
 pub use deferred::any_hit_deferred;
 
 /// Options as Djeu 2011 has them: equal rates, cracks where they form.

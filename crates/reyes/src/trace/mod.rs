@@ -71,7 +71,7 @@ pub struct SurfaceTracer {
 }
 
 /// One ray's way through the surface.
-pub(crate) struct Query<'a, 's> {
+pub(crate) struct RayWalk<'a, 's> {
     pub(crate) tracer: &'a SurfaceTracer,
     /// The whole ray, by which rates are chosen.
     pub(crate) whole: GridRay,
@@ -169,11 +169,11 @@ impl SurfaceTracer {
         differential: &RayDifferential,
         state: &'s mut TraceState,
         any: bool,
-    ) -> Option<Query<'a, 's>> {
+    ) -> Option<RayWalk<'a, 's>> {
         let whole = GridRay::new(ray)?;
         let width = Width::new(ray, differential, self.options.edge.into());
         state.begin();
-        Some(Query { tracer: self, whole, ray: whole, width, state, any, closest: None })
+        Some(RayWalk { tracer: self, whole, ray: whole, width, state, any, closest: None })
     }
 
     fn query<'a, 's>(
@@ -182,7 +182,7 @@ impl SurfaceTracer {
         differential: &RayDifferential,
         state: &'s mut TraceState,
         any: bool,
-    ) -> Option<Query<'a, 's>> {
+    ) -> Option<RayWalk<'a, 's>> {
         let mut query = self.start(ray, differential, state, any)?;
         let _ = self.bvh.walk(ray, |patch| {
             if query.patch(patch) && any {
@@ -257,7 +257,7 @@ struct Seams {
     shifts: [Option<[u8; 2]>; 4],
 }
 
-impl Query<'_, '_> {
+impl RayWalk<'_, '_> {
     /// Looks for hits on a patch; whether there was any so far.
     pub(crate) fn patch(&mut self, patch: u32) -> bool {
         if self.tracer.options.footprint == FootprintRule::DiagSplit {

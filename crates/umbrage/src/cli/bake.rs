@@ -13,7 +13,7 @@ use umbrage::{
 use umbrage_aomask::Sides;
 use umbrage_aomask::exact::adaptive::Spent;
 use umbrage_geom::{Falloff, TriangleMesh};
-use umbrage_scene::{Points, Radius, Scene, read_mesh, read_points};
+use umbrage_scene::{PointCloud, Radius, Scene, read_mesh, read_points};
 
 /// Bakes ambient occlusion on to a mesh, an image or points.
 ///
@@ -202,7 +202,7 @@ impl BakeArguments {
 struct Input {
     mesh: TriangleMesh,
     occluders: Vec<TriangleMesh>,
-    points: Option<Points>,
+    points: Option<PointCloud>,
 }
 
 pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
@@ -253,7 +253,7 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
 
 fn read(arguments: &BakeArguments) -> Result<Input> {
     let mesh = if let Some(level) = arguments.subdivide {
-        let control = umbrage_scene::mesh_file::read_polygons(&arguments.mesh)?;
+        let control = umbrage_scene::read_polygons(&arguments.mesh)?;
         let source = || arguments.mesh.display().to_string();
         umbrage::query::subdivide::mesh_at_level(&control, level).with_context(source)?
     } else if is_mesh(&arguments.mesh) {

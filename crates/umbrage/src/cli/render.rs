@@ -11,7 +11,7 @@ use std::{
 };
 use umbrage::{
     image::{self, ColorMap, Fingerprint, Part, Shard, names},
-    query::{AoMethod, Made, Occluders, Selection, ShadowMethod, SurfaceMode, subdivide},
+    query::{AoMethod, BuildCost, Occluders, Selection, ShadowMethod, SurfaceMode, subdivide},
     render::{MethodUsed, RenderError, RenderOptions, Rendered, TILE, check_settings, render},
 };
 use umbrage_scene::{Ground, Scene, Settings};
@@ -137,7 +137,7 @@ pub(super) fn load(path: &Path) -> Result<Scene> {
 fn load_surface(arguments: &RenderArguments, pixels: f32) -> Result<Scene> {
     let path = &arguments.scene;
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let control = umbrage_scene::mesh_file::read_polygons(path)?;
+    let control = umbrage_scene::read_polygons(path)?;
     let settings = |settings: &mut Settings| override_settings(settings, arguments);
     subdivide::scene_around(&name, &control, pixels, settings).with_context(|| path.display().to_string())
 }
@@ -229,7 +229,7 @@ fn write_stats(
     let (structure_bytes, geometry_bytes) = occluders.bytes();
     let method = |used: MethodUsed| json!({ "method": used.name, "reason": used.reason });
     let made =
-        |made: Made| json!({ "build_s": made.time.map(|time| time.as_secs_f64()), "bytes": made.bytes });
+        |made: BuildCost| json!({ "build_s": made.time.map(|time| time.as_secs_f64()), "bytes": made.bytes });
     let structures: serde_json::Map<_, _> = occluders
         .structures()
         .into_iter()
