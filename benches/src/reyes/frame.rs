@@ -72,7 +72,7 @@ pub fn rate(surface: Arc<Surface>, view: &View, once: Once) -> Result<RatedSurfa
     let (_, differential) = view.ray(0, 0);
     let rates = EyeRates::new(view.eye, differential.d_direction[0].length() * once.pixels);
     let rates = once.bend.map_or(rates, |bend| rates.with_bend(bend));
-    Ok(RatedSurface::for_eye(surface, &rates)?)
+    Ok(RatedSurface::for_eye(surface, &rates, &mut |_| true)?)
 }
 
 /// [`render`] at rates chosen once.

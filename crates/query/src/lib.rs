@@ -9,6 +9,7 @@ mod occluders;
 pub mod plan;
 pub mod subdivide;
 
+pub(crate) use engine::share_of;
 pub use engine::{Answers, Engine, LightRay, Sky};
 pub use error::QueryError;
 pub use far::Pilot;

@@ -4,7 +4,7 @@ use crate::{camera::CameraRays, light::LightSampler};
 use umbrage_accel::Counters;
 use umbrage_aomask::{Outputs, Pattern, Receiver};
 use umbrage_geom::{
-    Ray, RayDifferential,
+    Progress, Ray, RayDifferential,
     glam::{Vec2, Vec3},
     offset_origin,
     sampling::{combine, concentric_disc, pixel_seed, sobol_2d, sobol_4d, unit},
@@ -146,8 +146,8 @@ impl<'e> Integrator<'e> {
     }
 
     /// Asks the ambient method about all receivers of `pixels`, if it answers receivers; [`Self::pixel`] is then called with
-    /// the same pixels in the same order.
-    pub fn open_pixels(&self, pixels: &[(u32, u32)], scratch: &mut Scratch) {
+    /// the same pixels in the same order. `progress` is asked whether to go on.
+    pub fn open_pixels(&self, pixels: &[(u32, u32)], scratch: &mut Scratch, progress: &Progress<'_>) {
         scratch.open.clear();
         let Some(ambient) = self.ambient.filter(|ambient| ambient.answers() == Answers::Receivers) else {
             return;
@@ -163,7 +163,9 @@ impl<'e> Integrator<'e> {
             }
         }
         let mut open = vec![1.0; receivers.len()];
-        if let Err(error) = ambient.sky(&receivers, Outputs::new(&mut open), &mut |_| true) {
+        if let Err(error) =
+            ambient.sky(&receivers, Outputs::new(&mut open), &mut |_| progress.check().is_ok())
+        {
             scratch.failed = Some(error);
         }
         scratch.open.resize(pixels.len() * self.spp as usize, 1.0);

@@ -197,7 +197,7 @@ pub fn render(
         let mut scratch = integrator.scratch();
         let places: Vec<(u32, u32)> =
             (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y))).collect();
-        integrator.open_pixels(&places, &mut scratch);
+        integrator.open_pixels(&places, &mut scratch, &progress);
         let pixels: Vec<Pixel> =
             places.into_iter().map(|(x, y)| integrator.pixel(x, y, &mut scratch)).collect();
         if let Some(error) = scratch.failed.take() {
@@ -274,9 +274,6 @@ fn choose_samples(
     }
     let pilots = target::pilots(scene.settings.width, scene.settings.height);
     let mut measure = |settings: &Settings, layer: usize| {
-        if !progress(0.0) {
-            return Err(RenderError::Cancelled);
-        }
         // Only one of the layers costs rays.
         let lights = if layer == 0 { lights.to_vec() } else { Vec::new() };
         let shadows = choose_shadows(settings, &lights, occluders, progress)?;
@@ -287,7 +284,9 @@ fn choose_samples(
         };
         let engines = [&shadows, &ambient].map(|choice| choice.as_ref().map(|choice| &*choice.engine));
         let base = integrator(scene, settings, (lights, occluders), sky.as_ref(), engines)?;
-        Ok(target::squared_errors(|salt| Integrator { salt, ..base.clone() }, &pilots)?[layer])
+        Ok(target::squared_errors(|salt| Integrator { salt, ..base.clone() }, &pilots, &mut |_| {
+            progress(0.0)
+        })?[layer])
     };
     let with = |shadow_samples, ao_samples| Settings { shadow_samples, ao_samples, ..scene.settings.clone() };
     let (shadow, shadow_error) = match lights.is_empty() {

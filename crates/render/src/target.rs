@@ -9,7 +9,8 @@ use crate::{
     integrator::{Integrator, Pixel},
 };
 use rayon::prelude::*;
-use umbrage_geom::sampling::sobol_2d;
+use umbrage_geom::{Progress, sampling::sobol_2d};
+use umbrage_query::engine::Report;
 
 /// Share of the target that the expected error is to have.
 const TARGET_SHARE: f64 = 0.8;
@@ -51,24 +52,28 @@ pub(crate) fn pilots(width: u32, height: u32) -> Vec<(u32, u32)> {
 }
 
 /// Mean squared error of the layers `shadow` and `ao` at `pilots`, by what `with_salt` makes of a salt; `None` where no pilot has
-/// the layer.
+/// the layer. `progress` gets growing fractions that end at exactly 1, and returns `false` to cancel.
 pub(crate) fn squared_errors<'a>(
     with_salt: impl Fn(u32) -> Integrator<'a>,
     pilots: &[(u32, u32)],
+    progress: Report<'_>,
 ) -> Result<[Option<f64>; 2], RenderError> {
+    let progress = Progress::new(2 * pilots.len().div_ceil(BLOCK_PILOTS) as u64, progress);
     let rendered = |salt: u32| -> Result<Vec<Pixel>, RenderError> {
         let integrator = with_salt(salt);
         let block = |places: &[(u32, u32)]| {
             let mut scratch = integrator.scratch();
-            integrator.open_pixels(places, &mut scratch);
+            integrator.open_pixels(places, &mut scratch, &progress);
             let pixels: Vec<Pixel> =
                 places.iter().map(|&(x, y)| integrator.pixel(x, y, &mut scratch)).collect();
+            progress.advance(1)?;
             scratch.failed.take().map_or(Ok(pixels), |error| Err(RenderError::from(error)))
         };
         let blocks: Vec<Vec<Pixel>> = pilots.par_chunks(BLOCK_PILOTS).map(block).collect::<Result<_, _>>()?;
         Ok(blocks.concat())
     };
     let [a, b] = [rendered(SALTS[0])?, rendered(SALTS[1])?];
+    progress.finish()?;
     let mean = |counts: fn(&Pixel) -> bool, of: fn(&Pixel) -> f32| {
         let pairs = a.iter().zip(&b).filter(|(a, _)| counts(a));
         let squares = pairs.map(|(a, b)| 0.5 * f64::from(of(a) - of(b)).powi(2));

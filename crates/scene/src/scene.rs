@@ -1,5 +1,6 @@
 //! What a scene is, once read: plain data that the renderer turns into acceleration structures.
 
+use crate::ByteSize;
 use umbrage_geom::{Falloff, PolygonMesh, TriangleMesh, glam::Affine3A};
 
 /// A scene: geometry, lights, a camera and settings.
@@ -240,6 +241,8 @@ pub struct Settings {
     pub ao: String,
     /// How subdivision surfaces are traced: `mesh`, `once` or `footprint`.
     pub surfaces: String,
+    /// Bytes of grids that are kept for each control mesh where surfaces are traced by `footprint`. Pictures don't depend on it.
+    pub grid_cache: ByteSize,
     /// Seed of all random choices.
     pub seed: u32,
     /// Stops of brightness added before the image is written as PNG.
@@ -257,6 +260,7 @@ impl Default for Settings {
             shadows: "auto".into(),
             ao: "auto".into(),
             surfaces: "mesh".into(),
+            grid_cache: ByteSize::mebibytes(256),
             seed: 0,
             exposure: 0.0,
         }

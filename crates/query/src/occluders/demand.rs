@@ -1,7 +1,7 @@
 //! Structures that are made when a method asks for them, and the list of what was made.
 
 use super::{Occluders, PrefilteredParts as Parts};
-use crate::{QueryError, engine::Report, far::FarOpacity};
+use crate::{QueryError, engine::Report, far::FarOpacity, share_of};
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard},
@@ -200,15 +200,12 @@ impl Occluders {
                 next
             }));
         }
-        let count = jobs.len() as f32;
         let build = |(number, (part, opacities)): (usize, &(usize, Vec<u32>))| {
             let part = &self.parts[*part];
             let of_object = |&object: &u32| f32::from_bits(opacities[object as usize]);
             let of_triangle: Vec<f32> = part.object_of.iter().map(of_object).collect();
             let (mesh, options) = (&part.mesh, PrefilterOptions::default());
-            let last = number + 1 == jobs.len();
-            let mut share =
-                |f: f32| progress(if last && f == 1.0 { 1.0 } else { (number as f32 + f) / count });
+            let mut share = share_of(progress, number, jobs.len());
             let (positions, triangles) = (&mesh.positions, &mesh.triangles);
             let scene = Prefiltered::build(positions, triangles, &of_triangle, &options, &mut share)?;
             Ok(Arc::new(scene))

@@ -12,7 +12,7 @@ pub(crate) use demand::{PrefilteredParts, solids};
 pub use hits::ShadingPoint;
 pub use surfaces::SurfaceWork;
 
-use super::{QueryError, SceneKind, SurfaceMode, View, engine::Report};
+use super::{QueryError, SceneKind, SurfaceMode, View, engine::Report, share_of};
 use demand::StructuresOnDemand;
 use std::sync::Arc;
 use surfaces::Surfaces;
@@ -78,10 +78,12 @@ impl Occluders {
     /// [`QueryError::Build`] with the name of the mesh; [`QueryError::Surface`], [`QueryError::Unsupported`] for surfaces that can't
     /// be traced as such; [`QueryError::UnknownMethod`], [`QueryError::Cancelled`].
     pub fn of_scene(scene: &Scene, progress: Report<'_>) -> Result<Self, QueryError> {
-        match Surfaces::split(scene, SurfaceMode::of_scene(scene)?)? {
+        let mode = SurfaceMode::of_scene(scene)?;
+        let split = Surfaces::split(scene, mode, &mut share_of(progress, 0, 2))?;
+        match split {
             None => Self::of_triangles(scene, progress),
             Some((surfaces, rest)) => {
-                let mut occluders = Self::of_triangles(&rest, progress)?;
+                let mut occluders = Self::of_triangles(&rest, &mut share_of(progress, 1, 2))?;
                 occluders.bounds = occluders.bounds.union(surfaces.bounds());
                 occluders.surfaces = Some(surfaces);
                 Ok(occluders)

@@ -1,7 +1,7 @@
 //! Subdivision surfaces among occluders that are traced as such, without triangle meshes.
 
 use super::{ShadingPoint, objects_of};
-use crate::{QueryError, SurfaceMode, subdivide};
+use crate::{QueryError, SurfaceMode, engine::Report, share_of, subdivide};
 use std::{
     ops::ControlFlow,
     sync::{Arc, Mutex},
@@ -82,16 +82,24 @@ impl TracedSurface {
         mesh: usize,
         subdivision: &Subdivision,
         mode: SurfaceMode,
+        progress: Report<'_>,
     ) -> Result<Self, QueryError> {
-        let failed = |source| QueryError::Surface { object: scene.meshes[mesh].name.clone(), source };
+        let failed = |source| QueryError::from_surface(&scene.meshes[mesh].name, source);
         let traced = match (mode, subdivision.rate) {
             (SurfaceMode::Footprint, SubdivisionRate::Pixels(pixels)) => {
                 let surface = subdivide::traced_surface(subdivision).map_err(failed)?;
-                let options = TraceOptions::default().with_edge(pixels).with_max_level(subdivide::MAX_LEVEL);
+                let cache_bytes = usize::try_from(scene.settings.grid_cache.bytes()).unwrap_or(usize::MAX);
+                let options = TraceOptions::default()
+                    .with_edge(pixels)
+                    .with_max_level(subdivide::MAX_LEVEL)
+                    .with_cache_bytes(cache_bytes);
                 let tracer = SurfaceTracer::new(surface, &options).map_err(failed)?;
+                if !progress(1.0) {
+                    return Err(QueryError::Cancelled);
+                }
                 SurfaceRates::Footprint(tracer, Mutex::default())
             }
-            _ => SurfaceRates::Once(subdivide::rated(scene, mesh, subdivision).map_err(failed)?),
+            _ => SurfaceRates::Once(subdivide::rated(scene, mesh, subdivision, progress).map_err(failed)?),
         };
         let object_starts = subdivision.control.objects.iter().skip(1).map(|o| o.faces.start).collect();
         Ok(Self { traced, object_starts })
@@ -200,23 +208,31 @@ impl PlacedSurface {
 
 impl Surfaces {
     /// The surfaces of `scene`; its instances without them are left in the scene that is returned. `None` if there are none.
-    pub(super) fn split(scene: &Scene, mode: SurfaceMode) -> Result<Option<(Self, Scene)>, QueryError> {
+    /// `progress` gets growing fractions that end at exactly 1 if there are any, and returns `false` to cancel.
+    pub(super) fn split(
+        scene: &Scene,
+        mode: SurfaceMode,
+        progress: Report<'_>,
+    ) -> Result<Option<(Self, Scene)>, QueryError> {
         let is_surface = |mesh: usize| scene.meshes[mesh].subdivision.is_some();
         if mode == SurfaceMode::Mesh || !scene.instances.iter().any(|instance| is_surface(instance.mesh)) {
             return Ok(None);
         }
+        let is_placed = |mesh: usize| scene.instances.iter().any(|instance| instance.mesh == mesh);
+        let count = (0..scene.meshes.len()).filter(|&mesh| is_surface(mesh) && is_placed(mesh)).count();
         let mut of_mesh: Vec<Option<Arc<TracedSurface>>> = vec![None; scene.meshes.len()];
         let mut placed = Vec::new();
         for instance in scene.instances.iter().filter(|instance| is_surface(instance.mesh)) {
-            let slot = &mut of_mesh[instance.mesh];
-            let body = match (&slot, &scene.meshes[instance.mesh].subdivision) {
+            let body = match (&of_mesh[instance.mesh], &scene.meshes[instance.mesh].subdivision) {
                 (Some(body), _) => Arc::clone(body),
                 (None, Some(subdivision)) => {
-                    Arc::new(TracedSurface::build(scene, instance.mesh, subdivision, mode)?)
+                    let built = of_mesh.iter().flatten().count();
+                    let mut progress = share_of(progress, built, count);
+                    Arc::new(TracedSurface::build(scene, instance.mesh, subdivision, mode, &mut progress)?)
                 }
                 (None, None) => continue,
             };
-            *slot = Some(Arc::clone(&body));
+            of_mesh[instance.mesh] = Some(Arc::clone(&body));
             let objects = objects_of(scene, instance);
             let singular = || QueryError::Build {
                 object: instance.name.clone(),

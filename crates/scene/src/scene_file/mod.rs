@@ -146,6 +146,9 @@ fn read_methods(methods: Fields<'_>, settings: &mut Settings) -> Result<(), Fiel
             *name = text.into();
         }
     }
+    if let Some(value) = methods.value("grid_cache") {
+        settings.grid_cache = value.text()?.parse().map_err(|e| value.flaw(format!("can't be used: {e}")))?;
+    }
     methods.whole_into("shadow_samples", 1..=MAX_SAMPLES, &mut settings.shadow_samples)?;
     methods.whole_into("ao_samples", 1..=MAX_SAMPLES, &mut settings.ao_samples)?;
     methods.finish()
