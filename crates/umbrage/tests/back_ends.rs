@@ -1,11 +1,8 @@
 //! A forced back end changes no byte of what the program writes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::process::Output;
 use umbrage_geom::simd::{BackEnd, VARIABLE};
+use umbrage_testkit::ProgramFolder;
 
 /// Opaque and semi-transparent objects, instances, a light of each kind and ambient light.
 const SCENE: &str = r#"
@@ -54,21 +51,20 @@ translate = [1, 0, 0]"#;
 const CUBE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
     f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
 
-fn run(folder: &Path, back_end: &str, arguments: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_umbrage"))
-        .args(arguments.split_whitespace())
-        .env(VARIABLE, back_end)
-        .current_dir(folder)
-        .output()
-        .unwrap()
+fn folder() -> ProgramFolder {
+    ProgramFolder::new(env!("CARGO_BIN_EXE_umbrage"), &[])
+}
+
+fn run(folder: &ProgramFolder, back_end: &str, arguments: &str) -> Output {
+    folder.command(arguments).env(VARIABLE, back_end).output().unwrap()
 }
 
 #[test]
 fn every_back_end_writes_the_same_bytes() {
-    let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("opaque.toml"), SCENE.replace("MORE", "")).unwrap();
-    fs::write(folder.path().join("leaves.toml"), SCENE.replace("MORE", LEAVES)).unwrap();
-    fs::write(folder.path().join("cube.obj"), CUBE).unwrap();
+    let folder = folder();
+    folder.write("opaque.toml", SCENE.replace("MORE", ""));
+    folder.write("leaves.toml", SCENE.replace("MORE", LEAVES));
+    folder.write("cube.obj", CUBE);
     let opaque =
         |shadows: &str, ao: &str| format!("render opaque.toml --shadows {shadows} --ao {ao} -o OUT.exr");
     let mut commands: Vec<String> =
@@ -81,9 +77,9 @@ fn every_back_end_writes_the_same_bytes() {
         let bytes = |back_end: BackEnd| {
             let name = format!("{back_end}.{}", if command.ends_with("exr") { "exr" } else { "ply" });
             let arguments = command.replace("OUT.exr", &name).replace("OUT.ply", &name);
-            let output = run(folder.path(), &back_end.to_string(), &arguments);
+            let output = run(&folder, &back_end.to_string(), &arguments);
             assert!(output.status.success(), "{arguments}: {}", String::from_utf8_lossy(&output.stderr));
-            fs::read(folder.path().join(name)).unwrap()
+            folder.bytes(&name)
         };
         let expected = bytes(BackEnd::Scalar);
         for back_end in BackEnd::ALL.into_iter().filter(|b| b.is_supported()) {
@@ -94,14 +90,14 @@ fn every_back_end_writes_the_same_bytes() {
 
 #[test]
 fn what_can_not_be_forced_is_an_error() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = folder();
     let missing = BackEnd::ALL.into_iter().filter(|b| !b.is_supported()).map(|b| b.to_string());
     for name in ["sse", "AVX2", ""].map(str::to_owned).into_iter().chain(missing) {
-        let output = run(folder.path(), &name, "scenes");
+        let output = run(&folder, &name, "scenes");
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{name}: {error}");
         assert!(error.starts_with("umbrage: UMBRAGE_BACKEND: ") && error.lines().count() == 1, "{error}");
         assert!(output.stdout.is_empty());
     }
-    assert!(run(folder.path(), "scalar", "scenes").status.success());
+    assert!(run(&folder, "scalar", "scenes").status.success());
 }

@@ -1,9 +1,9 @@
 //! Every method on three kinds of scenes: it runs under its own name, or it fails with exit code 2 and the reason.
 
-use std::{fs, path::PathBuf, process::Command};
-use tempfile::TempDir;
+use std::{fs, process::Command};
 use umbrage::query::{AoMethod, Exactness, Method, SceneKind, ShadowMethod, SurfaceMode, View};
 use umbrage::scene::Scene;
+use umbrage_testkit::ProgramFolder;
 
 const VIEW: &str = r#"
 [image]
@@ -49,23 +49,17 @@ fn scenes() -> [(&'static str, String); 3] {
     ]
 }
 
-struct Folder(TempDir);
+struct Folder(ProgramFolder);
 
 impl Folder {
     fn new() -> Self {
-        let folder = Self(tempfile::tempdir().unwrap());
-        for (name, text) in scenes() {
-            fs::write(folder.path(&format!("{name}.toml")), text).unwrap();
-        }
-        folder
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
+        let folder = ProgramFolder::new(env!("CARGO_BIN_EXE_umbrage"), &[]);
+        scenes().iter().for_each(|(name, text)| folder.write(&format!("{name}.toml"), text));
+        Self(folder)
     }
 
     fn kind(&self, scene: &str) -> SceneKind {
-        SceneKind::of_scene(&Scene::load(&self.path(&format!("{scene}.toml"))).unwrap())
+        SceneKind::of_scene(&Scene::load(&self.0.path(&format!("{scene}.toml"))).unwrap())
     }
 
     /// Runs the program, which must do what `method` asks of `kind`: succeed and say so in its statistics under `key`, or fail
@@ -77,25 +71,21 @@ impl Folder {
         kind: &SceneKind,
         name_in: impl Fn(&serde_json::Value) -> String,
     ) -> bool {
-        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-            .args(arguments.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap();
+        let output = self.0.run(arguments);
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         match method.needs().unmet(kind) {
             None => {
                 assert!(output.status.success(), "{arguments}: {error}");
-                let stats = fs::read(self.path("stats.json")).unwrap();
+                let stats = self.0.bytes("stats.json");
                 assert_eq!(name_in(&serde_json::from_slice(&stats).unwrap()), method.name(), "{arguments}");
             }
             Some(reason) => {
                 assert_eq!(output.status.code(), Some(2), "{arguments}: {error}");
                 assert!(error.contains(method.name()) && error.contains(reason), "{arguments}: {error}");
-                assert!(!self.path("stats.json").exists(), "{arguments} left something behind");
+                assert!(!self.0.path("stats.json").exists(), "{arguments} left something behind");
             }
         }
-        let _ = fs::remove_file(self.path("stats.json"));
+        let _ = fs::remove_file(self.0.path("stats.json"));
         output.status.success()
     }
 }
@@ -135,7 +125,7 @@ fn every_method_bakes_or_says_why_not() {
     let folder = Folder::new();
     let few =
         scenes()[0].1.replace("translate = [0, 0.5, 0]", "transforms = [{}, { translate = [2, 0, 0] }]");
-    fs::write(folder.path("copies.toml"), few).unwrap();
+    folder.0.write("copies.toml", few);
     for scene in ["opaque", "foliage", "copies"] {
         // Bakes copy instances into one mesh, and have no camera.
         let kind = SceneKind { instances_apart: false, view: View::NoCamera, ..folder.kind(scene) };
@@ -146,6 +136,28 @@ fn every_method_bakes_or_says_why_not() {
             folder.check(&arguments, method, &kind, |stats| text(&stats["method"]));
         }
     }
+}
+
+/// Stored opacity of semi-transparent leaves: close to exact masks, and parts make the whole.
+#[test]
+fn stored_opacity_of_leaves_is_close_to_masks() {
+    let folder = Folder::new();
+    let ground = "[[objects]]\nmesh = { generator = \"plane\", width = 8, depth = 8 }\n";
+    folder.0.write("bush.toml", scenes()[1].1.clone() + ground);
+    let bake = |method: &str, arguments: &str| {
+        let options = "--rays 64 --radius 50% --stats stats.json";
+        folder.0.ok(&format!("bake bush.toml --method {method} {options} {arguments}"));
+        let stats: serde_json::Value = serde_json::from_slice(&folder.0.bytes("stats.json")).unwrap();
+        stats["ao_mean"].as_f64().unwrap()
+    };
+    let exact = bake("mask", "-o exact.ply");
+    let stored = bake("mask-prefilter", "-o whole.ply");
+    assert!((exact - stored).abs() < 0.005 && exact < 0.9, "{exact} {stored}");
+    for i in 1..=3 {
+        bake("mask-prefilter", &format!("-o part{i}.ply --shard {i}/3"));
+    }
+    folder.0.ok("merge joined.ply part1.ply part2.ply part3.ply");
+    assert_eq!(folder.0.bytes("whole.ply"), folder.0.bytes("joined.ply"));
 }
 
 #[test]
@@ -175,15 +187,8 @@ fn scene_files_name_methods_that_exist() {
     let (_, text) = &scenes()[0];
     for (key, known) in [("shadows", "bvh-volumetric"), ("ao", "mask-raster"), ("surfaces", "footprint")] {
         let bad = text.replace("[methods]", &format!("[methods]\n{key} = \"magic\""));
-        fs::write(folder.path("bad.toml"), bad).unwrap();
-        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-            .args(["render", "bad.toml", "-o", "out.png"])
-            .current_dir(folder.0.path())
-            .output()
-            .unwrap();
-        let error = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(2), "{key}: {error}");
-        assert!(["bad.toml", "magic", known].iter().all(|word| error.contains(word)), "{key}: {error}");
+        folder.0.write("bad.toml", bad);
+        folder.0.fails("render bad.toml -o out.png", &["bad.toml", "magic", known]);
     }
 }
 
@@ -193,15 +198,9 @@ fn nothing_answers_where_nothing_is_asked() {
     let (_, text) = &scenes()[0];
     let dark = &text[..text.find("[ambient]").unwrap()];
     let objects = &text[text.find("[[objects]]").unwrap()..];
-    fs::write(folder.path("dark.toml"), format!("{dark}{objects}")).unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-        .args(["render", "dark.toml", "-o", "out.png", "--shadows", "kd", "--stats", "stats.json"])
-        .current_dir(folder.0.path())
-        .output()
-        .unwrap();
-    assert!(output.status.success());
-    let stats: serde_json::Value =
-        serde_json::from_slice(&fs::read(folder.path("stats.json")).unwrap()).unwrap();
+    folder.0.write("dark.toml", format!("{dark}{objects}"));
+    folder.0.ok("render dark.toml -o out.png --shadows kd --stats stats.json");
+    let stats: serde_json::Value = serde_json::from_slice(&folder.0.bytes("stats.json")).unwrap();
     for key in ["shadows", "ao"] {
         assert!(stats[key]["method"].is_null(), "{stats}");
         assert!(stats[key]["reason"].as_str().unwrap().contains("scene has no"), "{stats}");

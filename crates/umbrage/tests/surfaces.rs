@@ -1,7 +1,6 @@
 //! Subdivision surfaces by each ray's footprint and at rates chosen once, against their mesh.
 
-use std::{fs, path::PathBuf, process::Command};
-use tempfile::TempDir;
+use umbrage_testkit::ProgramFolder;
 
 /// A cube with a sharp edge, on a ground of its own.
 const CUBE: &str = "v -1 -1 -1\nv 1 -1 -1\nv -1 1 -1\nv 1 1 -1\nv -1 -1 1\nv 1 -1 1\nv -1 1 1\nv 1 1 1\n\
@@ -25,69 +24,42 @@ mesh = { generator = "plane", width = 12, depth = 12 }
 translate = [0, -1, 0]
 "#;
 
-struct Folder(TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        let folder = Self(tempfile::tempdir().unwrap());
-        fs::write(folder.path("cube.obj"), CUBE).unwrap();
-        for mode in ["mesh", "once", "footprint"] {
-            fs::write(folder.path(&format!("{mode}.toml")), SCENE.replace("SURFACES", mode)).unwrap();
-        }
-        folder
+fn folder() -> ProgramFolder {
+    let folder = ProgramFolder::new(env!("CARGO_BIN_EXE_umbrage"), &[("cube.obj", CUBE)]);
+    for mode in ["mesh", "once", "footprint"] {
+        folder.write(&format!("{mode}.toml"), SCENE.replace("SURFACES", mode));
     }
+    folder
+}
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
+fn json(folder: &ProgramFolder, name: &str) -> serde_json::Value {
+    serde_json::from_slice(&folder.bytes(name)).unwrap()
+}
 
-    /// Runs the program; its standard output, or exit code and standard error.
-    fn run(&self, arguments: &str) -> Result<String, (i32, String)> {
-        let output = Command::new(env!("CARGO_BIN_EXE_umbrage"))
-            .args(arguments.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap();
-        match output.status.success() {
-            true => Ok(String::from_utf8(output.stdout).unwrap()),
-            false => {
-                Err((output.status.code().unwrap(), String::from_utf8_lossy(&output.stderr).into_owned()))
-            }
-        }
-    }
-
-    fn json(&self, name: &str) -> serde_json::Value {
-        serde_json::from_slice(&fs::read(self.path(name)).unwrap()).unwrap()
-    }
-
-    /// RMSE of the layers beauty, shadow and ao.
-    fn errors(&self, a: &str, b: &str) -> [f64; 3] {
-        let text = self.run(&format!("compare {a} {b} --json")).unwrap();
-        let comparison: serde_json::Value = serde_json::from_str(&text).unwrap();
-        let layers = comparison["layers"].as_array().unwrap();
-        ["beauty", "shadow", "ao"].map(|name| {
-            let layer = layers.iter().find(|layer| layer["layer"] == name).unwrap();
-            layer["rmse"].as_f64().unwrap()
-        })
-    }
+/// RMSE of the layers beauty, shadow and ao.
+fn errors(folder: &ProgramFolder, a: &str, b: &str) -> [f64; 3] {
+    let text = folder.ok(&format!("compare {a} {b} --json"));
+    let comparison: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let layers = comparison["layers"].as_array().unwrap();
+    ["beauty", "shadow", "ao"].map(|name| {
+        let layer = layers.iter().find(|layer| layer["layer"] == name).unwrap();
+        layer["rmse"].as_f64().unwrap()
+    })
 }
 
 #[test]
 fn surfaces_look_like_their_mesh_however_they_are_traced() {
-    let folder = Folder::new();
+    let folder = folder();
     for mode in ["mesh", "once", "footprint"] {
-        folder
-            .run(&format!(
-                "render {mode}.toml -o {mode}.exr --ao rays --stats {mode}.json --heatmap {mode}.png"
-            ))
-            .unwrap();
+        let files = format!("-o {mode}.exr --stats {mode}.json --heatmap {mode}.png");
+        folder.ok(&format!("render {mode}.toml --ao rays {files}"));
     }
     // Micropolygons of a pixel: what differs are silhouettes and edges of shadows.
     for mode in ["once", "footprint"] {
-        let [beauty, shadow, ao] = folder.errors("mesh.exr", &format!("{mode}.exr"));
+        let [beauty, shadow, ao] = errors(&folder, "mesh.exr", &format!("{mode}.exr"));
         assert!(beauty < 0.01 && shadow < 0.01 && ao < 0.03, "{mode}: {beauty} {shadow} {ao}");
         assert!(beauty > 0.0, "{mode} is the mesh");
-        let stats = folder.json(&format!("{mode}.json"));
+        let stats = json(&folder, &format!("{mode}.json"));
         let surfaces = &stats["surfaces"];
         assert_eq!((surfaces["mode"].as_str(), surfaces["patches"].as_u64()), (Some(mode), Some(6)));
         assert!(surfaces["grids"].as_u64().unwrap() > 0 && surfaces["bytes"].as_u64().unwrap() > 0);
@@ -95,45 +67,77 @@ fn surfaces_look_like_their_mesh_however_they_are_traced() {
         assert_eq!(stats["shadows"]["method"], "bvh");
         assert_eq!(stats["ao"]["method"], "rays");
     }
-    assert_eq!(folder.json("footprint.json")["surfaces"]["evicted"], 0);
-    assert!(folder.json("mesh.json")["surfaces"].is_null());
+    let [beauty, shadow, ao] = errors(&folder, "once.exr", "footprint.exr");
+    assert!(beauty < 0.01 && shadow < 0.01 && ao < 0.03, "once and footprint: {beauty} {shadow} {ao}");
+    assert_eq!(json(&folder, "footprint.json")["surfaces"]["evicted"], 0);
+    assert!(json(&folder, "mesh.json")["surfaces"].is_null());
 }
 
 #[test]
 fn threads_shards_and_the_command_line_change_nothing() {
-    let folder = Folder::new();
-    folder.run("render footprint.toml -o one.exr --threads 1").unwrap();
-    folder.run("render mesh.toml --surfaces footprint -o two.exr --threads 3").unwrap();
-    assert_eq!(fs::read(folder.path("one.exr")).unwrap(), fs::read(folder.path("two.exr")).unwrap());
+    let folder = folder();
+    folder.ok("render footprint.toml -o one.exr --threads 1");
+    folder.ok("render mesh.toml --surfaces footprint -o two.exr --threads 3");
+    assert_eq!(folder.bytes("one.exr"), folder.bytes("two.exr"));
     for i in 1..=2 {
-        folder.run(&format!("render footprint.toml -o part{i}.exr --shard {i}/2")).unwrap();
+        folder.ok(&format!("render footprint.toml -o part{i}.exr --shard {i}/2"));
     }
-    folder.run("merge joined.exr part1.exr part2.exr").unwrap();
-    assert_eq!(fs::read(folder.path("one.exr")).unwrap(), fs::read(folder.path("joined.exr")).unwrap());
-    folder.run("render once.toml -o other.exr --shard 2/2").unwrap();
-    assert!(folder.run("merge bad.exr part1.exr other.exr").unwrap_err().1.contains("differ"));
+    folder.ok("merge joined.exr part1.exr part2.exr");
+    assert_eq!(folder.bytes("one.exr"), folder.bytes("joined.exr"));
+    folder.ok("render once.toml -o other.exr --shard 2/2");
+    folder.fails("merge bad.exr part1.exr other.exr", &["differ"]);
+}
+
+#[test]
+fn grids_are_evicted_for_room_and_pictures_stay() {
+    let folder = folder();
+    folder.ok("render footprint.toml -o roomy.exr --stats roomy.json");
+    folder.ok("render footprint.toml -o tight.exr --grid-cache 32KiB --stats tight.json");
+    let [roomy, tight] = ["roomy.json", "tight.json"].map(|name| json(&folder, name)["surfaces"].clone());
+    assert_eq!((&roomy["grid_cache"], &tight["grid_cache"]), (&(256u64 << 20).into(), &(32u64 << 10).into()));
+    assert_eq!(roomy["evicted"], 0);
+    assert!(
+        tight["evicted"].as_u64().unwrap() > 0 && tight["grids"].as_u64() > roomy["grids"].as_u64(),
+        "{tight}"
+    );
+    assert!(tight["bytes"].as_u64() < roomy["bytes"].as_u64(), "{tight}");
+    assert_eq!(folder.bytes("roomy.exr"), folder.bytes("tight.exr"));
+    // In scene files, and in parts that were rendered with different budgets.
+    let scene = SCENE.replace("surfaces = \"SURFACES\"", "surfaces = \"footprint\", grid_cache = \"32KiB\"");
+    folder.write("tight.toml", &scene);
+    folder.ok("render tight.toml -o part1.exr --shard 1/2 --stats part.json");
+    assert_eq!(json(&folder, "part.json")["surfaces"]["grid_cache"], 32 << 10);
+    folder.ok("render tight.toml -o part2.exr --shard 2/2 --grid-cache 1GiB");
+    folder.ok("merge joined.exr part1.exr part2.exr");
+    assert_eq!(folder.bytes("roomy.exr"), folder.bytes("joined.exr"));
+    for (arguments, words) in [
+        ("render footprint.toml -o x.png --grid-cache 0B", ["--grid-cache", "64MiB"]),
+        ("render footprint.toml -o x.png --grid-cache 64", ["--grid-cache", "64MiB"]),
+        ("render once.toml -o x.png --grid-cache 64MiB", ["--grid-cache", "footprint"]),
+    ] {
+        folder.fails(arguments, &words);
+    }
+    folder.write("bad.toml", scene.replace("32KiB", "32KB"));
+    folder.fails("render bad.toml -o x.png", &["bad.toml:4", "grid_cache", "64MiB"]);
 }
 
 #[test]
 fn what_needs_triangles_says_so() {
-    let folder = Folder::new();
+    let folder = folder();
     for (arguments, words) in [
         ("render footprint.toml --shadows kd -o x.png", ["kd", "surfaces"]),
         ("render once.toml --ao mask -o x.png", ["mask", "surfaces"]),
         ("render mesh.toml --surfaces sometimes -o x.png", ["sometimes", "footprint"]),
     ] {
-        let (code, error) = folder.run(arguments).unwrap_err();
-        assert_eq!(code, 2, "{arguments}: {error}");
-        assert!(words.iter().all(|word| error.contains(word)), "{arguments}: {error}");
+        folder.fails(arguments, &words);
     }
     let veil = SCENE
         .replace("SURFACES", "footprint")
         .replace("[[lights]]", "[materials.default]\nopacity = 0.5\n[[lights]]");
-    fs::write(folder.path("veil.toml"), veil).unwrap();
-    let (code, error) = folder.run("render veil.toml -o x.png").unwrap_err();
-    assert!(code == 2 && error.contains("footprint") && error.contains("semi-transparent"), "{error}");
-    let text = folder.run("inspect footprint.toml").unwrap();
+    folder.write("veil.toml", veil);
+    folder.fails("render veil.toml -o x.png", &["footprint", "semi-transparent"]);
+    let text = folder.ok("inspect footprint.toml");
     assert!(text.contains("kd                      does not fit: subdivision surfaces"), "{text}");
     // A bake has no rays of a camera: its surfaces are meshes.
-    folder.run("bake footprint.toml -o ao.ply --rays 8").unwrap();
+    folder.ok("bake footprint.toml -o ao.ply --rays 8");
 }
