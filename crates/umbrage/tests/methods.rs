@@ -59,7 +59,7 @@ impl Folder {
     }
 
     fn kind(&self, scene: &str) -> SceneKind {
-        SceneKind::of_scene(&Scene::load(&self.0.path(&format!("{scene}.toml"))).unwrap())
+        SceneKind::of_scene(&Scene::load(&self.0.path(format!("{scene}.toml"))).unwrap())
     }
 
     /// Runs the program, which must do what `method` asks of `kind`: succeed and say so in its statistics under `key`, or fail
