@@ -35,6 +35,17 @@ enum Setting {
     Field(f64, usize),
 }
 
+impl Setting {
+    /// Its name in rows. `mask-prefilter`, which chooses how far masks are exact, is measured by the parts `truth` and `far-bounds`.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "mask",
+            Self::Nodes(..) => "mask+nodes",
+            Self::Field(..) => "mask+field",
+        }
+    }
+}
+
 const SETTINGS: [Setting; 10] = [
     Setting::Exact,
     Setting::Nodes(0.001, 0.3),
@@ -202,7 +213,7 @@ pub fn rows(case: &Case, options: &Options, output: &mut Output) -> Result<()> {
             output.row(&Row {
                 suite: "aomask",
                 scene: case.name.into(),
-                method: if let Setting::Exact = setting { "mask" } else { "mask-prefilter" }.into(),
+                method: setting.name().into(),
                 params,
                 time_s,
                 build_s: case.ours.build_s + extra_s,

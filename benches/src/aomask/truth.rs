@@ -24,7 +24,7 @@ use umbrage_geom::{
     sampling::{RandomStream, combine, concentric_disc, sobol_2d},
 };
 use umbrage_query::{
-    Answers, AoMethod, Engine, Ground, Occluders, Sky,
+    Answers, AoMethod, Engine, Ground, Occluders, Sky, View,
     engine::{self, LightRay},
 };
 use umbrage_reference::{Question, Reference};
@@ -228,14 +228,10 @@ pub fn truth(options: &Options, output: &mut Output) -> Result<()> {
         let mut curves: Vec<(&str, Vec<[f64; 2]>)> = Vec::new();
         for rays in RAYS {
             let plain = PatternOptions::default().with_rays(rays);
-            let methods = [
-                ("rays", AoMethod::Rays, plain.clone()),
-                ("mask", AoMethod::Mask, plain.clone()),
-                ("mask:relaxed", AoMethod::Mask, published::relaxed(rays)),
-                ("mask-table", AoMethod::MaskTable, plain.clone()),
-                ("mask-prefilter", AoMethod::MaskPrefilter, plain.clone()),
-                ("prefilter", AoMethod::Prefilter, plain),
-            ];
+            let kind = case.occluders.kind(View::NoCamera);
+            let fits = AoMethod::ALL.iter().filter(|method| method.check(&kind).is_ok());
+            let mut methods: Vec<_> = fits.map(|&method| (method.name(), method, plain.clone())).collect();
+            methods.push(("mask:relaxed", AoMethod::Mask, published::relaxed(rays)));
             let asked =
                 |(name, method, options): (&'static str, AoMethod, PatternOptions)| -> Result<MethodRun> {
                     let sky = Sky::new(options.clone(), case.length());

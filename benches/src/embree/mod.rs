@@ -2,10 +2,12 @@
 //!
 //! Rays are written into Embree's layouts before each pass, which is not timed; nor are answers read back.
 
+mod buffers;
 mod ffi;
 pub mod surface;
 
-use self::ffi::{Buffers, Device, Feature, Packet, Quality, Query, Scene, Single};
+use self::buffers::Buffers;
+use self::ffi::{Device, Feature, Packet, Quality, Query, Scene, Single};
 use crate::{
     entry::{CHUNK, Entry},
     peer::{Builds, Peer},

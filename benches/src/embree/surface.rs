@@ -3,7 +3,8 @@
 //! Rays are written into Embree's layouts before the clock starts, and answers are read after it stops.
 
 use super::{
-    ffi::{ControlBuffers, Device, Hit, Packet, PacketHit, PacketHits, Query, Scene, Single, SingleHit},
+    buffers::ControlBuffers,
+    ffi::{Device, Hit, Packet, PacketHit, PacketHits, Query, Scene, Single, SingleHit},
     fill, single,
 };
 use anyhow::Result;

@@ -204,7 +204,7 @@ fn trace(tracer: &SurfaceTracer, setting: &Setting) -> (Vec<f32>, usize, usize) 
                     }
                     Shadows::Deferred => {
                         let (ray, d) = shadow(origin, target, d_point, steps);
-                        published::any_hit_deferred(&tracer, &ray, &d, &mut state)
+                        published::any_hit_deferred(tracer, &ray, &d, &mut state)
                     }
                     Shadows::Backward => {
                         let (ray, d) = shadow(target, origin, steps, d_point);
