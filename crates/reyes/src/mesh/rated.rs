@@ -1,7 +1,7 @@
 //! A surface at one rate a patch, chosen once for all rays, such as by the camera of a picture.
 
 use crate::{
-    EyeRates, MAX_LEVEL, Surface, SurfaceError, SurfaceHit,
+    EyeRates, Surface, SurfaceError, SurfaceHit,
     mesh::cells::Cells,
     mesh::dice::{GridKey, Stitch},
     mesh::grid::GridRay,
@@ -10,10 +10,9 @@ use crate::{
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
 use umbrage_accel::{BoxBvh, BoxFanVisitor, BoxVisitor, BuildQuality, FAN};
 use umbrage_geom::{
-    MeshError, MeshObject, Progress, Ray, TriangleHit, TriangleMesh,
+    MeshObject, Progress, Ray, TriangleHit, TriangleMesh,
     glam::{Affine3A, Vec3},
     kernel::fan::FanRays,
-    mesh::MAX_ELEMENTS,
 };
 
 /// Fewest rays of one origin that walk together.
@@ -48,24 +47,14 @@ impl RatedSurface {
     /// `progress` gets growing fractions that end at exactly 1, and returns `false` to cancel.
     ///
     /// # Errors
-    /// [`SurfaceError::Option`] for a level beyond [`MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices;
+    /// [`SurfaceError::Option`] for a level beyond [`crate::MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices;
     /// [`SurfaceError::Build`], [`SurfaceError::Cancelled`].
     pub fn build(
         surface: Arc<Surface>,
         levels_of: impl Fn(u32) -> [u8; 2],
         progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<Self, SurfaceError> {
-        let levels: Vec<[u8; 2]> = (0..surface.patch_count() as u32)
-            .map(|i| levels_of(i).map(|l| l.max(surface.least_level(i))))
-            .collect();
-        if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
-            let value = level.into();
-            return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
-        }
-        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
-        if count > MAX_ELEMENTS / 2 {
-            return Err(MeshError::TooMany { what: "vertices", count }.into());
-        }
+        let levels = surface.checked_levels(levels_of)?;
         let progress = Progress::new(surface.patch_count() as u64, progress);
         let mut cells = Cells::new(&levels);
         let mut boxes = Vec::new();
@@ -91,7 +80,7 @@ impl RatedSurface {
     ///
     /// # Errors
     /// As [`Self::build`]; [`SurfaceError::Option`] if the width is not positive, the eye not finite, the level beyond
-    /// [`MAX_LEVEL`] or the turn negative or not finite.
+    /// [`crate::MAX_LEVEL`] or the turn negative or not finite.
     pub fn for_eye(
         surface: Arc<Surface>,
         rates: &EyeRates,

@@ -10,6 +10,28 @@ use crate::{
 use umbrage_geom::{Aabb, MeshError, TriangleMesh, mesh::MAX_ELEMENTS};
 
 impl Surface {
+    /// Levels of all patches, raised to what quadrilaterals beside other faces need.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Option`] for a level beyond [`MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices.
+    pub(crate) fn checked_levels(
+        &self,
+        levels_of: impl Fn(u32) -> [u8; 2],
+    ) -> Result<Vec<[u8; 2]>, SurfaceError> {
+        let levels: Vec<[u8; 2]> = (0..self.patch_count() as u32)
+            .map(|i| levels_of(i).map(|l| l.max(self.least_level(i))))
+            .collect();
+        if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
+            let value = level.into();
+            return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
+        }
+        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
+        if count > MAX_ELEMENTS / 2 {
+            return Err(MeshError::TooMany { what: "vertices", count }.into());
+        }
+        Ok(levels)
+    }
+
     /// The surface as triangles, each patch divided into `2^levels` cells along `u` and `v`, `levels` from `levels_of` and
     /// raised to what quadrilaterals beside other faces need; shared edges follow the coarser side. Positions on shared
     /// edges are equal bit for bit, vertices are not shared. The patch of each triangle comes second.
@@ -20,17 +42,7 @@ impl Surface {
         &self,
         levels_of: impl Fn(u32) -> [u8; 2],
     ) -> Result<(TriangleMesh, Vec<u32>), SurfaceError> {
-        let levels: Vec<[u8; 2]> = (0..self.patch_count() as u32)
-            .map(|i| levels_of(i).map(|l| l.max(self.patches[i as usize].least_level())))
-            .collect();
-        if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
-            let value = level.into();
-            return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
-        }
-        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
-        if count > MAX_ELEMENTS / 2 {
-            return Err(MeshError::TooMany { what: "vertices", count }.into());
-        }
+        let levels = self.checked_levels(levels_of)?;
         let mut mesh = TriangleMesh::default();
         let mut patches = Vec::new();
         let all = 0..self.patch_count() as u32;
