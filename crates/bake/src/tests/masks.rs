@@ -1,6 +1,7 @@
 //! Masks against the rays that they answer.
 
 use super::*;
+use umbrage_scene::generate::{Parameters, generate};
 
 /// A record of dumped rays, and whether the ray was found blocked.
 fn dumped(record: &[u8]) -> (Ray, bool) {
@@ -82,6 +83,42 @@ fn masks_have_the_answers_of_their_rays() {
             assert_eq!(means, sorted);
         }
     }
+}
+
+/// A bush of half-transparent leaves above a ground.
+#[test]
+fn stored_opacity_of_semi_transparent_leaves_is_close_to_masks() {
+    let parameters = Parameters { triangles: Some(6000), ..Parameters::default() };
+    let bush = transparent(generate("bush", &parameters).unwrap().mesh, 0.5);
+    let low = bush.bounds().min.y - 1e-3;
+    let floor = quad([-4.0, low, 4.0], [8.0, 0.0, 0.0], [0.0, 0.0, -8.0]);
+    let occluders = Occluders::of_meshes(&[&bush, &floor], Ground::Absent, &mut |_| true).unwrap();
+    assert!(!occluders.is_opaque());
+    let mut is_used = false;
+    let on_floor = TexelMap::new(&floor, 40, 40, VAxis::Up).unwrap();
+    for receivers in [
+        Receivers::vertices(&bush, NormalSource::Smooth).unwrap(),
+        on_floor.receivers(&floor, NormalSource::Geometric).unwrap(),
+    ] {
+        let bake = |method: AoMethod, shards: u32| {
+            let options = BakeOptions::default().with_rays(64).with_method(method);
+            let mut ao = vec![f32::NAN; receivers.len()];
+            for index in 1..=shards {
+                let call = Bake::new(&occluders, &receivers, &options);
+                call.with_shard(Shard::new(index, shards).unwrap()).run(&mut ao, &mut |_| true).unwrap();
+            }
+            ao
+        };
+        let mean = |ao: &[f32]| ao.iter().map(|&ao| f64::from(ao)).sum::<f64>() / ao.len() as f64;
+        let (exact, stored) = (bake(AoMethod::Mask, 1), bake(AoMethod::MaskPrefilter, 1));
+        let [exact_mean, stored_mean] = [&exact, &stored].map(|ao| mean(ao));
+        assert!((exact_mean - stored_mean).abs() < 0.005, "{exact_mean} {stored_mean}");
+        assert!(exact_mean < 0.97, "{exact_mean}");
+        is_used |= exact != stored;
+        let bits = |ao: &[f32]| ao.iter().map(|ao| ao.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&bake(AoMethod::MaskPrefilter, 3)), bits(&stored));
+    }
+    assert!(is_used, "all rays were exact");
 }
 
 #[test]
