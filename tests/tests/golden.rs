@@ -13,7 +13,7 @@ use umbrage_image::{Film, read_exr, write_exr};
 use umbrage_query::Occluders;
 use umbrage_query::subdivide;
 use umbrage_render::{RenderOptions, render};
-use umbrage_scene::{Scene, mesh_file::read_polygons};
+use umbrage_scene::{Scene, Settings, read_polygons};
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("golden")
@@ -85,8 +85,7 @@ fn cathedral() {
 #[test]
 fn surface() {
     let control = read_polygons(&folder().join("surface.obj")).unwrap();
-    let scene = subdivide::scene_around("surface", &control, 1.0, |settings| {
-        (settings.width, settings.height, settings.spp) = (96, 72, 4);
-    });
+    let size = |settings: &mut Settings| (settings.width, settings.height, settings.spp) = (96, 72, 4);
+    let scene = subdivide::scene_around("surface", &control, 1.0, size, &mut |_| true);
     check_scene("surface", &scene.unwrap());
 }

@@ -28,7 +28,7 @@ pub struct Setting<'a> {
 }
 
 /// Passes over all entries that pick the fastest of each method.
-pub const HEATS: usize = 2;
+pub const CHOOSING_PASSES: usize = 2;
 
 /// An entry after its passes.
 pub struct Measured<'e, A> {
@@ -49,7 +49,7 @@ impl Setting<'_> {
     /// Rows on one thread, then those on several: `bvh` and the peers, each by its fastest entry on one thread.
     pub fn run<A: Answer>(&self, entries: Vec<Box<dyn Entry<A> + '_>>, output: &mut Output) -> Result<()> {
         let truth = self.truth();
-        let best = fastest(measure(entries, HEATS, None));
+        let best = fastest(measure(entries, CHOOSING_PASSES, None));
         let best = self.again(best, None);
         self.rows(&best, &truth, 1, output)?;
         if let Some(pool) = self.pool {

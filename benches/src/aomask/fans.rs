@@ -144,18 +144,18 @@ impl<'a, A> Fans<'a, A> {
 }
 
 /// What is asked of a fan.
-trait Asked: Answer {
+trait FanAnswer: Answer {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]);
 }
 
-impl Asked for bool {
+impl FanAnswer for bool {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]) {
         let call = FanCall::new(bvh, rays, per_fan).with_back_end(back_end);
         call.any_hits(answers).expect("valid fans");
     }
 }
 
-impl Asked for OpticalDepth {
+impl FanAnswer for OpticalDepth {
     fn ask(bvh: &Bvh, rays: &[Ray], per_fan: usize, back_end: BackEnd, answers: &mut [Self]) {
         let opacity = Self::from_opacity(ALPHA);
         let call = FanCall::new(bvh, rays, per_fan).with_back_end(back_end);
@@ -163,7 +163,7 @@ impl Asked for OpticalDepth {
     }
 }
 
-impl<A: Asked> Entry<A> for Fans<'_, A> {
+impl<A: FanAnswer> Entry<A> for Fans<'_, A> {
     fn method(&self) -> &'static str {
         "fans"
     }

@@ -12,7 +12,7 @@ use umbrage_aomask::{MaskOptions, Pattern, Sides, published::NodeMasks};
 use umbrage_geom::Ray;
 
 /// Passes that pick the fastest entry of each method.
-const HEATS: usize = 1;
+const CHOOSING_PASSES: usize = 1;
 
 /// A method's fastest entry after its passes.
 pub struct Measured<'e, A> {
@@ -168,7 +168,7 @@ fn measure<'e, A>(entries: Vec<Box<dyn Entry<A> + 'e>>, passes: usize) -> Vec<Me
 
 /// Passes of the fastest of `entries` of each method.
 pub fn of_fastest<A>(entries: Vec<Box<dyn Entry<A> + '_>>, passes: usize) -> Vec<Measured<'_, A>> {
-    let best = fastest(measure(entries, HEATS));
+    let best = fastest(measure(entries, CHOOSING_PASSES));
     measure(best.into_iter().map(|m| m.entry).collect(), passes)
 }
 

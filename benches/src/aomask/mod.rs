@@ -72,7 +72,7 @@ pub const PARTS: [&str; 14] = [
 type Run = fn(&Options, &mut Output) -> Result<()>;
 
 /// Parts with scenes of their own, only when asked for.
-const TRUTH_PARTS: [(&str, Run); 3] =
+const OF_TRUTH: [(&str, Run); 3] =
     [("truth", truth::truth), ("target-error", truth::target_error), ("patterns", truth::patterns)];
 
 /// Numbers of rays and radii, as fractions of the diagonal, of the targets.
@@ -132,7 +132,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     if let Some(part) = options.part.as_ref().filter(|part| !PARTS.contains(&part.as_str())) {
         bail!("unknown part '{part}', expected one of {}", PARTS.join(", "));
     }
-    if let Some((_, run)) = TRUTH_PARTS.into_iter().find(|(part, _)| options.part.as_deref() == Some(part)) {
+    if let Some((_, run)) = OF_TRUTH.into_iter().find(|(part, _)| options.part.as_deref() == Some(part)) {
         run(options, output)?;
         return output.geomeans(&["part", "rays", "radius", "target", "target_rmse", "against"]);
     }

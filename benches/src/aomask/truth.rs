@@ -157,7 +157,7 @@ fn random_points(mesh: &TriangleMesh, count: usize) -> (Vec<[f32; 3]>, Vec<[f32;
 const BIAS_SEEDS: u32 = 8;
 
 /// A method with a number of rays, its answers.
-struct Asked<'a> {
+struct MethodRun<'a> {
     name: &'static str,
     rays: u32,
     case: &'a Case,
@@ -168,7 +168,7 @@ struct Asked<'a> {
     spent: Spent,
 }
 
-impl Asked<'_> {
+impl MethodRun<'_> {
     /// Mean bias over seeds of the receivers, and its standard error by their spread.
     fn mean_bias(&mut self) -> (f64, f64) {
         let mut biases = Vec::new();
@@ -185,7 +185,7 @@ impl Asked<'_> {
     }
 }
 
-impl Timed for Asked<'_> {
+impl Timed for MethodRun<'_> {
     fn run(&mut self) {
         let Self { case, receivers, engine, pattern, ao, spent, .. } = self;
         if engine.answers() == Answers::Rays {
@@ -208,14 +208,24 @@ pub fn truth(options: &Options, output: &mut Output) -> Result<()> {
             let all = AoMethod::ALL.iter().filter(|&&method| method != AoMethod::MaskRaster);
             let mut methods: Vec<_> = all.map(|&method| (method.name(), method, plain.clone())).collect();
             methods.push(("mask:relaxed", AoMethod::Mask, published::relaxed(rays)));
-            let asked = |(name, method, options): (&'static str, AoMethod, PatternOptions)| -> Result<Asked> {
-                let sky = Sky::new(options.clone(), case.length());
-                let engine = engine::sky(method, &case.occluders, &sky, &mut |_| true)?;
-                let pattern = Pattern::new(&options)?;
-                let ao = vec![0.0; case.receivers.len()];
-                let receivers = case.receivers.clone();
-                Ok(Asked { name, rays, case, receivers, engine, pattern, ao, spent: Spent::default() })
-            };
+            let asked =
+                |(name, method, options): (&'static str, AoMethod, PatternOptions)| -> Result<MethodRun> {
+                    let sky = Sky::new(options.clone(), case.length());
+                    let engine = engine::sky(method, &case.occluders, &sky, &mut |_| true)?;
+                    let pattern = Pattern::new(&options)?;
+                    let ao = vec![0.0; case.receivers.len()];
+                    let receivers = case.receivers.clone();
+                    Ok(MethodRun {
+                        name,
+                        rays,
+                        case,
+                        receivers,
+                        engine,
+                        pattern,
+                        ao,
+                        spent: Spent::default(),
+                    })
+                };
             let mut runs = methods.into_iter().map(asked).collect::<Result<Vec<_>>>()?;
             let mut timed: Vec<&mut dyn Timed> = runs.iter_mut().map(|run| run as &mut dyn Timed).collect();
             let times = alternate(sizes(options).2, &mut timed);
@@ -279,7 +289,7 @@ pub fn target_error(options: &Options, output: &mut Output) -> Result<()> {
             let engine = engine::sky(AoMethod::Mask, &case.occluders, &sky, &mut |_| true)?;
             let (ao, pattern) = (vec![0.0; case.receivers.len()], Pattern::new(&pattern)?);
             let (receivers, spent) = (case.receivers.clone(), Spent::default());
-            let mut run = Asked { name: "mask", rays: 0, case, receivers, engine, pattern, ao, spent };
+            let mut run = MethodRun { name: "mask", rays: 0, case, receivers, engine, pattern, ao, spent };
             let times = alternate(1, &mut [&mut run]);
             let mut params = case.params("target-error");
             params["target"] = json!((f64::from(target) * 1e4).round() / 1e4);

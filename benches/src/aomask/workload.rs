@@ -9,9 +9,9 @@ use umbrage_aomask::{MaskOptions, Pattern, Receiver, Sides};
 use umbrage_geom::{Ray, TriangleMesh, glam::Vec3, morton, offset_origin};
 
 /// Receivers that stay together: neighbours, as in a bake of the whole scene.
-const RUN: usize = 32;
+const RUN_RECEIVERS: usize = 32;
 /// Receivers of the whole scene that runs are taken from.
-const WHOLE: usize = 1 << 17;
+const SURFACE_RECEIVERS: usize = 1 << 17;
 /// Most triangles of a generated mesh in the quick form.
 const QUICK_TRIANGLES: usize = 300_000;
 
@@ -82,7 +82,7 @@ impl Workload {
 
 /// Receivers for about a quarter of a million rays, half as many in the quick form.
 fn count(rays: u32, quick: bool) -> usize {
-    ((if quick { 1 << 17 } else { 1 << 18 }) / rays as usize).next_multiple_of(RUN)
+    ((if quick { 1 << 17 } else { 1 << 18 }) / rays as usize).next_multiple_of(RUN_RECEIVERS)
 }
 
 /// Runs of neighbours out of a dense set over the whole surface.
@@ -92,7 +92,7 @@ pub fn surface(mesh: &TriangleMesh, rays: u32, quick: bool) -> Receivers {
 
 /// About `count` receivers in runs of neighbours out of a dense set over the whole surface.
 pub fn surface_of(mesh: &TriangleMesh, count: usize) -> Receivers {
-    thin(scenes::receivers(mesh, WHOLE, 1), count)
+    thin(scenes::receivers(mesh, SURFACE_RECEIVERS, 1), count)
 }
 
 /// Runs of neighbours out of what `cameras` see.
@@ -110,12 +110,12 @@ pub fn seen(case: &Case, cameras: &[View], rays: u32, quick: bool) -> Receivers 
 
 /// About `count` receivers in evenly spaced runs.
 fn thin(receivers: Receivers, count: usize) -> Receivers {
-    let runs = receivers.points.len() / RUN;
-    let wanted = (count / RUN).clamp(1, runs.max(1));
+    let runs = receivers.points.len() / RUN_RECEIVERS;
+    let wanted = (count / RUN_RECEIVERS).clamp(1, runs.max(1));
     let pick = |v: &[Vec3]| {
         let run = |i: usize| {
-            let start = i * runs / wanted * RUN;
-            v[start..v.len().min(start + RUN)].iter().copied()
+            let start = i * runs / wanted * RUN_RECEIVERS;
+            v[start..v.len().min(start + RUN_RECEIVERS)].iter().copied()
         };
         (0..wanted).flat_map(run).collect()
     };

@@ -28,14 +28,14 @@ pub struct Options {
 const RAYS: u32 = 64;
 
 /// A method that answers all receivers of a case.
-struct Asked<'a> {
+struct MethodRun<'a> {
     name: &'static str,
     exactness: Exactness,
     engine: Box<dyn Engine + 'a>,
     build_s: f64,
     /// Of what was made for it beside the wide BVH.
     bytes: usize,
-    work: Work<'a>,
+    work: Workload<'a>,
     /// By receiver: mean of what passes.
     open: Vec<f32>,
     failed: Option<QueryError>,
@@ -43,20 +43,20 @@ struct Asked<'a> {
 
 /// What a method is asked.
 #[derive(Clone, Copy)]
-enum Work<'a> {
+enum Workload<'a> {
     /// [`RAYS`] rays a receiver, to the light or the sky.
     Rays(&'a [LightRay], Option<usize>),
     Receivers(&'a [Receiver]),
 }
 
-impl Asked<'_> {
+impl MethodRun<'_> {
     fn answer(&mut self) -> Result<(), QueryError> {
         let engine = &*self.engine;
         match self.work {
-            Work::Receivers(receivers) => {
+            Workload::Receivers(receivers) => {
                 engine.sky(receivers, Outputs::new(&mut self.open), &mut |_| true)?;
             }
-            Work::Rays(rays, light) => {
+            Workload::Rays(rays, light) => {
                 let rays = rays.chunks(RAYS as usize);
                 self.open = rays
                     .map(|rays| {
@@ -71,7 +71,7 @@ impl Asked<'_> {
     }
 }
 
-impl Timed for Asked<'_> {
+impl Timed for MethodRun<'_> {
     fn run(&mut self) {
         if let Err(error) = self.answer() {
             self.failed = Some(error);
@@ -97,7 +97,7 @@ fn measure(scene: &str, case: &Case, options: &Options, output: &mut Output) -> 
     let rays = case.shadow_rays(RAYS);
     let mut asked = Vec::new();
     for &method in ShadowMethod::ALL {
-        let work = Work::Rays(&rays, Some(0));
+        let work = Workload::Rays(&rays, Some(0));
         let make = || engine::shadows(method, occluders, &mut |_| true);
         asked.extend(ask((scene, occluders), method.name(), method.exactness(), make, |_| work)?);
     }
@@ -108,8 +108,8 @@ fn measure(scene: &str, case: &Case, options: &Options, output: &mut Output) -> 
     let mut asked = Vec::new();
     for &method in AoMethod::ALL {
         let work = |engine: &dyn Engine| match engine.answers() {
-            Answers::Rays => Work::Rays(&rays, None),
-            Answers::Receivers | Answers::Images => Work::Receivers(&receivers),
+            Answers::Rays => Workload::Rays(&rays, None),
+            Answers::Receivers | Answers::Images => Workload::Receivers(&receivers),
         };
         let make = || engine::sky(method, occluders, &sky, &mut |_| true);
         asked.extend(ask((scene, occluders), method.name(), method.exactness(), make, work)?);
@@ -123,19 +123,19 @@ fn ask<'a>(
     name: &'static str,
     exactness: Exactness,
     make: impl FnOnce() -> Result<Box<dyn Engine + 'a>, QueryError>,
-    work: impl FnOnce(&dyn Engine) -> Work<'a>,
-) -> Result<Option<Asked<'a>>> {
+    work: impl FnOnce(&dyn Engine) -> Workload<'a>,
+) -> Result<Option<MethodRun<'a>>> {
     let (start, before) = (Instant::now(), held(occluders));
     match make() {
         Ok(engine) => {
             let (build_s, work) = (start.elapsed().as_secs_f64(), work(&*engine));
             let bytes = held(occluders) - before;
             let count = match work {
-                Work::Rays(rays, _) => rays.len() / RAYS as usize,
-                Work::Receivers(receivers) => receivers.len(),
+                Workload::Rays(rays, _) => rays.len() / RAYS as usize,
+                Workload::Receivers(receivers) => receivers.len(),
             };
             let open = vec![1.0; count];
-            Ok(Some(Asked { name, exactness, engine, build_s, bytes, work, open, failed: None }))
+            Ok(Some(MethodRun { name, exactness, engine, build_s, bytes, work, open, failed: None }))
         }
         Err(QueryError::Unsupported { reason, .. }) => {
             println!("{scene:<12} {name:<13} no row: {reason}");
@@ -149,7 +149,7 @@ fn ask<'a>(
 fn measure_all(
     scene: &str,
     work: &str,
-    asked: &mut [Asked<'_>],
+    asked: &mut [MethodRun<'_>],
     options: &Options,
     output: &mut Output,
 ) -> Result<()> {

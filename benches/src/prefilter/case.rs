@@ -13,10 +13,10 @@ use umbrage_geom::{
 use umbrage_occlusion::prefilter::{ConeQuery, ConeRay, PrefilterOptions, Prefiltered};
 
 /// Rays of the exact answers that errors refer to.
-const REFERENCE: u32 = 576;
+const REFERENCE_RAYS: u32 = 576;
 
 /// Receivers from one to the next whose exact answer is found twice, to know its own error.
-const RECHECKED_EVERY: usize = 32;
+const RECEIVERS_A_CHECK: usize = 32;
 
 /// What is asked of a scene.
 #[derive(Clone, Copy)]
@@ -336,25 +336,25 @@ impl Case {
     fn refer(&mut self) {
         let all: Vec<usize> = (0..self.receivers.len()).collect();
         self.truth = self.visibility(&all, 77);
-        let checked: Vec<usize> = all.into_iter().step_by(RECHECKED_EVERY).collect();
+        let checked: Vec<usize> = all.into_iter().step_by(RECEIVERS_A_CHECK).collect();
         let again = self.visibility(&checked, 78);
         let squares: f64 = checked.iter().zip(&again).map(|(&i, x)| (self.truth[i] - x).powi(2)).sum();
         // Both have the same error, independently.
         self.reference_rmse = (0.5 * squares / checked.len().max(1) as f64).sqrt();
     }
 
-    /// Visibility of `receivers` by [`REFERENCE`] exact rays each.
+    /// Visibility of `receivers` by [`REFERENCE_RAYS`] exact rays each.
     fn visibility(&self, receivers: &[usize], seed: u32) -> Vec<f64> {
         use rayon::prelude::*;
         receivers
             .par_iter()
             .map_init(Default::default, |scratch, &i| {
                 let mut cones = Vec::new();
-                self.fan(i, REFERENCE, seed, &mut cones);
+                self.fan(i, REFERENCE_RAYS, seed, &mut cones);
                 let rays: Vec<Ray> = cones.iter().map(|c| c.ray).collect();
                 let mut passed = vec![0.0; rays.len()];
                 self.exact(&rays, &mut passed, scratch);
-                passed.iter().map(|&x| f64::from(x)).sum::<f64>() / f64::from(REFERENCE)
+                passed.iter().map(|&x| f64::from(x)).sum::<f64>() / f64::from(REFERENCE_RAYS)
             })
             .collect()
     }

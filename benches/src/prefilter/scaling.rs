@@ -21,20 +21,20 @@ const RAYS: u32 = 16;
 const PASSES: usize = 5;
 
 /// Who answers: exact rays without a query.
-struct Caster {
+struct MethodSetting {
     method: &'static str,
     query: Option<ConeQuery>,
 }
 
 /// The default, and attempts to depend less on the number of triangles: rays end however near nodes are, or sooner.
-fn ways(case: &Case) -> Result<[Caster; 4]> {
+fn settings(case: &Case) -> Result<[MethodSetting; 4]> {
     let default = case.query();
     let sooner = ConeQuery::new(0.25 * default.threshold())?;
     Ok([
-        Caster { method: "bvh", query: None },
-        Caster { method: "prefilter", query: Some(default) },
-        Caster { method: "prefilter-any-angle", query: Some(default.with_widest(1e3)?) },
-        Caster { method: "prefilter-sooner", query: Some(sooner.with_widest(1e3)?) },
+        MethodSetting { method: "bvh", query: None },
+        MethodSetting { method: "prefilter", query: Some(default) },
+        MethodSetting { method: "prefilter-any-angle", query: Some(default.with_widest(1e3)?) },
+        MethodSetting { method: "prefilter-sooner", query: Some(sooner.with_widest(1e3)?) },
     ])
 }
 
@@ -68,7 +68,7 @@ pub fn run(
     Ok(())
 }
 
-/// Rows of all ways for receivers of one kind; their times go to `series`.
+/// Rows of all settings for receivers of one kind; their times go to `series`.
 fn measure(
     case: &Case,
     (scene, build_s): (&Prefiltered, f64),
@@ -79,9 +79,9 @@ fn measure(
 ) -> Result<()> {
     let cones = case.rays(kind, RAYS, 5);
     let plain: Vec<Ray> = cones.iter().map(|c| c.ray).collect();
-    let ways = ways(case)?;
-    let mut answers = vec![vec![0.0; cones.len()]; ways.len()];
-    let mut jobs: Vec<_> = ways
+    let settings = settings(case)?;
+    let mut answers = vec![vec![0.0; cones.len()]; settings.len()];
+    let mut jobs: Vec<_> = settings
         .iter()
         .zip(&mut answers)
         .map(|(way, passed)| {
@@ -96,7 +96,7 @@ fn measure(
     let mut timed: Vec<&mut dyn Timed> = jobs.iter_mut().map(|job| job as &mut dyn Timed).collect();
     let passes = alternate(PASSES, &mut timed);
     let opacity = if case.source.alpha < 1.0 { "semi-opaque" } else { "opaque" };
-    for ((way, passed), own) in ways.iter().zip(&answers).zip(&passes) {
+    for ((way, passed), own) in settings.iter().zip(&answers).zip(&passes) {
         let (rmse, bias) = case.errors(kind, RAYS, passed);
         let time_s = median(own);
         let name = format!("{}, {opacity}, {}", way.method, kind.name());

@@ -25,7 +25,7 @@ const EXACT_RAYS: [u32; 7] = [1, 4, 9, 16, 32, 64, 128];
 const RAYS: [u32; 6] = [2, 4, 8, 16, 32, 64];
 
 /// Rays a receiver by which the fastest call of a peer is chosen.
-const HEAT_RAYS: u32 = 9;
+const CHOOSING_RAYS: u32 = 9;
 
 /// The default threshold, and other rules beside it: nodes end rays however near they are, or only from twice and four times as
 /// far; every node from the fifth level on, and every node, may end rays, whatever surface it is part of.
@@ -37,7 +37,7 @@ const HEIGHT_5: &str = "prefilter-height-5";
 const HEIGHT_0: &str = "prefilter-height-0";
 
 /// How a curve's points are computed.
-enum Answerer<'a> {
+enum Solver<'a> {
     Exact,
     Stochastic,
     Prefiltered(&'a Prefiltered, ConeQuery),
@@ -49,7 +49,7 @@ enum Answerer<'a> {
 /// Points of one line of a plot: a method, and of prefiltered ones the index of the only threshold that they share.
 type CurveName = (&'static str, usize);
 
-/// One setting: some rays a receiver, answered in one way.
+/// One setting: some rays a receiver, answered in one solver.
 struct Point<'a> {
     case: &'a Case,
     kind: Kind,
@@ -57,39 +57,39 @@ struct Point<'a> {
     rays: u32,
     cones: &'a [ConeRay],
     plain: &'a [Ray],
-    way: Answerer<'a>,
+    solver: Solver<'a>,
     passed: Vec<f32>,
     scratch: (Vec<bool>, Vec<OpticalDepth>),
 }
 
 impl Timed for Point<'_> {
     fn prepare(&mut self) {
-        match &mut self.way {
-            Answerer::Peer(entry) => entry.prepare(),
-            Answerer::PeerAlpha(entry) => entry.prepare(),
+        match &mut self.solver {
+            Solver::Peer(entry) => entry.prepare(),
+            Solver::PeerAlpha(entry) => entry.prepare(),
             _ => {}
         }
     }
 
     fn run(&mut self) {
         let Self { case, plain, passed, scratch, .. } = self;
-        match &mut self.way {
-            Answerer::Exact => case.exact(plain, passed, scratch),
-            Answerer::Stochastic => case.stochastic(plain, passed, scratch),
-            Answerer::Prefiltered(scene, query) => {
+        match &mut self.solver {
+            Solver::Exact => case.exact(plain, passed, scratch),
+            Solver::Stochastic => case.stochastic(plain, passed, scratch),
+            Solver::Prefiltered(scene, query) => {
                 scene.transmittances_with(self.cones, query, passed, &mut ())
             }
-            Answerer::Peer(entry) => entry.run(None),
-            Answerer::PeerAlpha(entry) => entry.run(None),
+            Solver::Peer(entry) => entry.run(None),
+            Solver::PeerAlpha(entry) => entry.run(None),
         }
     }
 
     fn finish(&mut self) {
-        match &self.way {
-            Answerer::Peer(entry) => {
+        match &self.solver {
+            Solver::Peer(entry) => {
                 self.passed = entry.answers().iter().map(|&hit| f32::from(u8::from(!hit))).collect();
             }
-            Answerer::PeerAlpha(entry) => {
+            Solver::PeerAlpha(entry) => {
                 self.passed = entry.answers().iter().map(|depth| depth.transmittance()).collect();
             }
             _ => {}
@@ -334,28 +334,29 @@ impl Setting<'_> {
                 (rays, cones, plain)
             })
             .collect();
-        let heat = sets.iter().find(|set| set.0 == HEAT_RAYS).map_or(&[][..], |set| &set.2);
+        let heat = sets.iter().find(|set| set.0 == CHOOSING_RAYS).map_or(&[][..], |set| &set.2);
         let modes: Vec<String> = peers.iter().map(|peer| fastest_mode(case, peer.as_ref(), heat)).collect();
         let mut points: Vec<Point> = Vec::new();
         for (rays, cones, plain) in &sets {
-            let point = |method, way| {
+            let point = |method, solver| {
                 let (passed, scratch) = (vec![1.0; cones.len()], Default::default());
-                Point { case, kind, method, rays: *rays, cones, plain, way, passed, scratch }
+                Point { case, kind, method, rays: *rays, cones, plain, solver, passed, scratch }
             };
             if EXACT_RAYS.contains(rays) {
-                points.push(point(("bvh", 0), Answerer::Exact));
+                points.push(point(("bvh", 0), Solver::Exact));
                 if case.source.alpha < 1.0 {
-                    points.push(point(("stochastic", 0), Answerer::Stochastic));
+                    points.push(point(("stochastic", 0), Solver::Stochastic));
                 }
                 for (peer, mode) in peers.iter().zip(&modes) {
                     points.extend(
-                        peer_way(case, peer.as_ref(), plain, mode).map(|way| point(("embree", 0), way)),
+                        peer_solver(case, peer.as_ref(), plain, mode)
+                            .map(|solver| point(("embree", 0), solver)),
                     );
                 }
             }
             if RAYS.contains(rays) {
                 for curve in self.curves {
-                    points.push(point(curve.method, Answerer::Prefiltered(curve.scene, curve.query)));
+                    points.push(point(curve.method, Solver::Prefiltered(curve.scene, curve.query)));
                 }
             }
         }
@@ -371,13 +372,13 @@ impl Setting<'_> {
 }
 
 /// The call of a peer called `mode`.
-fn peer_way<'a>(case: &Case, peer: &'a dyn Peer, rays: &'a [Ray], mode: &str) -> Option<Answerer<'a>> {
+fn peer_solver<'a>(case: &Case, peer: &'a dyn Peer, rays: &'a [Ray], mode: &str) -> Option<Solver<'a>> {
     if case.source.alpha < 1.0 {
         let entries = peer.transmittance(rays, OpticalDepth::from_opacity(ALPHA));
-        entries.into_iter().find(|entry| entry.mode() == mode).map(Answerer::PeerAlpha)
+        entries.into_iter().find(|entry| entry.mode() == mode).map(Solver::PeerAlpha)
     } else {
         let entries = peer.any_hit(rays);
-        entries.into_iter().find(|e| e.method() == peer.name() && e.mode() == mode).map(Answerer::Peer)
+        entries.into_iter().find(|e| e.method() == peer.name() && e.mode() == mode).map(Solver::Peer)
     }
 }
 

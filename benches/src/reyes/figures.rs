@@ -9,7 +9,7 @@ use crate::rows::{Output, Row, median, paired_speedup};
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::time::Instant;
-use umbrage_reyes::{Bounds, FootprintRule, Surface, SurfaceOptions, TraceOptions};
+use umbrage_reyes::{FootprintRule, PatchBounds, Surface, SurfaceOptions, TraceOptions, published};
 
 /// One measurement of all methods.
 struct Figure {
@@ -60,11 +60,11 @@ pub const CACHE_BYTES: usize = 6 << 30;
 
 fn methods(tight: u32, shadows: Shadows) -> [Method; 4] {
     let surface = SurfaceOptions::default()
-        .with_bounds(Bounds::Hull)
+        .with_bounds(PatchBounds::Hull)
         .with_tight_levels(tight)
         .with_tree_bytes(CACHE_BYTES);
     let trace = |trace: TraceOptions| trace.with_max_level(max_level(shadows)).with_cache_bytes(CACHE_BYTES);
-    let published = |name, rule| Method::new(name, surface, trace(TraceOptions::published(rule)));
+    let published = |name, rule| Method::new(name, surface, trace(published::trace_options(rule)));
     [
         published("entry", FootprintRule::Entry),
         published("final-approach", FootprintRule::FinalApproach),

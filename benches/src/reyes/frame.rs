@@ -11,7 +11,7 @@ use umbrage_geom::{
     sampling::{combine, hash, pixel_seed, unit},
 };
 use umbrage_reyes::{
-    EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
+    EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState, published,
 };
 
 /// How shadow rays are traced.
@@ -72,7 +72,7 @@ pub fn rate(surface: Arc<Surface>, view: &View, once: Once) -> Result<RatedSurfa
     let (_, differential) = view.ray(0, 0);
     let rates = EyeRates::new(view.eye, differential.d_direction[0].length() * once.pixels);
     let rates = once.bend.map_or(rates, |bend| rates.with_bend(bend));
-    Ok(RatedSurface::for_eye(surface, &rates)?)
+    Ok(RatedSurface::for_eye(surface, &rates, &mut |_| true)?)
 }
 
 /// [`render`] at rates chosen once.
@@ -204,7 +204,7 @@ fn trace(tracer: &SurfaceTracer, setting: &Setting) -> (Vec<f32>, usize, usize) 
                     }
                     Shadows::Deferred => {
                         let (ray, d) = shadow(origin, target, d_point, steps);
-                        tracer.any_hit_deferred(&ray, &d, &mut state)
+                        published::any_hit_deferred(tracer, &ray, &d, &mut state)
                     }
                     Shadows::Backward => {
                         let (ray, d) = shadow(target, origin, steps, d_point);

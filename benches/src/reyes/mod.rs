@@ -38,7 +38,7 @@ pub struct Options {
 }
 
 /// Pixels along a side of images that many ways are compared on.
-const COMPARISON_PIXELS: u32 = 128;
+const COMPARISON_SIDE: u32 = 128;
 
 impl Options {
     fn wants(&self, figure: &str) -> bool {
@@ -47,12 +47,12 @@ impl Options {
 
     /// Pixels along a side: rays without width at their start cost many times as much.
     fn size_for(&self, shadows: Shadows) -> u32 {
-        if shadows == Shadows::FromPixel { self.size } else { self.size.min(2 * COMPARISON_PIXELS) / 2 }
+        if shadows == Shadows::FromPixel { self.size } else { self.size.min(2 * COMPARISON_SIDE) / 2 }
     }
 
     /// Passes of frames: large ones take minutes each.
     fn passes(&self) -> usize {
-        if self.quick || self.size > 2 * COMPARISON_PIXELS { 1 } else { 3 }
+        if self.quick || self.size > 2 * COMPARISON_SIDE { 1 } else { 3 }
     }
 }
 

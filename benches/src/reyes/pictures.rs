@@ -9,7 +9,7 @@ use image::RgbImage;
 use std::{path::Path, sync::Arc};
 use umbrage_geom::glam::Vec3;
 use umbrage_reyes::{
-    Bounds, FootprintRule, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
+    FootprintRule, PatchBounds, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState, published,
 };
 
 /// Micropolygons of so many pixels, so that they can be seen.
@@ -32,8 +32,8 @@ pub fn write(scene: &Scene, size: u32, folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     let entry = Method::new(
         "entry",
-        SurfaceOptions::default().with_bounds(Bounds::Hull).with_tight_levels(0),
-        TraceOptions::published(FootprintRule::Entry).with_edge(EDGE),
+        SurfaceOptions::default().with_bounds(PatchBounds::Hull).with_tight_levels(0),
+        published::trace_options(FootprintRule::Entry).with_edge(EDGE),
     );
     let default = Method::new("default", SurfaceOptions::default(), TraceOptions::default().with_edge(EDGE));
     for (method, close, name) in

@@ -8,7 +8,7 @@ use umbrage_geom::{
     sampling::{hash, unit},
 };
 use umbrage_reyes::{camera_differential, light_differential};
-use umbrage_scene::mesh_file::read_polygons;
+use umbrage_scene::read_polygons;
 
 /// A control mesh with the camera's direction and what a close view looks at.
 pub struct Scene {

@@ -14,19 +14,19 @@ use crate::{
 use anyhow::Result;
 use serde_json::json;
 use std::time::Instant;
-use umbrage_reyes::{Borders, Bounds, FootprintRule, Rates, SurfaceOptions, TraceOptions};
+use umbrage_reyes::{Borders, FootprintRule, PatchBounds, Rates, SurfaceOptions, TraceOptions, published};
 
 const MAX_LEVEL: u8 = 9;
 
 /// Pixels along a side of images at most: fourteen methods take minutes.
-const MAX_PIXELS: u32 = 512;
+const MAX_STUDY_SIDE: u32 = 512;
 
 fn methods() -> Vec<Method> {
     let tight = SurfaceOptions::default().with_tree_bytes(CACHE_BYTES);
-    let hull = tight.with_bounds(Bounds::Hull).with_tight_levels(0);
+    let hull = tight.with_bounds(PatchBounds::Hull).with_tight_levels(0);
     let room = |options: TraceOptions| options.with_max_level(MAX_LEVEL).with_cache_bytes(CACHE_BYTES);
     let trace = room(TraceOptions::default());
-    let published = |rule| room(TraceOptions::published(rule));
+    let published = |rule| room(published::trace_options(rule));
     let method = Method::new;
     let equal = trace.with_rates(Rates::Equal);
     vec![
@@ -49,7 +49,7 @@ fn methods() -> Vec<Method> {
 
 /// Rows of all methods for one scene: a normal view with 5 lights, a close view, and random views for cracks.
 pub fn run(scene: &Scene, options: &Options, reference: &Reference, output: &mut Output) -> Result<()> {
-    let options = &Options { size: options.size.min(MAX_PIXELS), ..options.clone() };
+    let options = &Options { size: options.size.min(MAX_STUDY_SIDE), ..options.clone() };
     // Two views of 512 pixels a side have half a million rays.
     let views = if options.quick || options.size > 128 { 2 } else { 5 };
     let passes = options.passes();

@@ -47,7 +47,7 @@ fn sign(x: &BigInt) -> i32 {
 }
 
 /// Exact signs for one ray and triangle, in the notation of [`umbrage_geom::triangle`].
-struct ExactSigns {
+struct Signs {
     /// Of `U`, `V`, `W`.
     edges: [i32; 3],
     /// Of `D`.
@@ -56,7 +56,7 @@ struct ExactSigns {
     ends: [i32; 2],
 }
 
-impl ExactSigns {
+impl Signs {
     fn new(ray: &Ray, [a, b, c]: [[f32; 3]; 3]) -> Self {
         let ([o, a, b, c], unit) = integers([ray.origin.to_array(), a, b, c]);
         let ([d], direction_unit) = integers([ray.direction.to_array()]);
@@ -103,7 +103,7 @@ impl ExactSigns {
 
 /// Whether the open segment meets the closed triangle.
 pub fn hits(ray: &Ray, corners: [[f32; 3]; 3]) -> bool {
-    ExactSigns::new(ray, corners).hit()
+    Signs::new(ray, corners).hit()
 }
 
 /// Spheres around a mesh's triangles, which spare most exact tests.
@@ -138,7 +138,7 @@ impl<'a> Oracle<'a> {
     pub fn winding(&self, ray: &Ray) -> Option<i32> {
         let mut sum = 0;
         for i in self.candidates(ray) {
-            sum += ExactSigns::new(ray, self.mesh.triangle(i)).winding()?;
+            sum += Signs::new(ray, self.mesh.triangle(i)).winding()?;
         }
         Some(sum)
     }

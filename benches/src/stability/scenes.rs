@@ -19,8 +19,8 @@ pub struct Scene {
 }
 
 /// Real meshes taken as they are, and only in the full form.
-const REAL: [&str; 6] = ["bunny_6k", "fandisk", "spot", "sphere_1280", "torus_4608", "skull_10k"];
-const REAL_FULL: [&str; 6] = ["fertility", "rocker_arm", "cow", "goathead", "bunny_60k", "armadillo_86k"];
+const QUICK_MESHES: [&str; 6] = ["bunny_6k", "fandisk", "spot", "sphere_1280", "torus_4608", "skull_10k"];
+const FULL_MESHES: [&str; 6] = ["fertility", "rocker_arm", "cow", "goathead", "bunny_60k", "armadillo_86k"];
 
 /// All scenes, smallest first within a kind.
 pub fn all(quick: bool) -> Result<Vec<Scene>> {
@@ -38,8 +38,8 @@ pub fn all(quick: bool) -> Result<Vec<Scene>> {
             eprintln!("no folder ../shared/meshes and no UMBRAGE_MESHES: rows of real meshes are skipped")
         }
         Some(folder) => {
-            let full: &[&str] = if quick { &[] } else { &REAL_FULL };
-            for &name in REAL.iter().chain(full) {
+            let full: &[&str] = if quick { &[] } else { &FULL_MESHES };
+            for &name in QUICK_MESHES.iter().chain(full) {
                 note(&format!("reading {name}"));
                 let mesh = read_mesh(&folder.join("closed").join(name).with_extension("obj"))?;
                 all.push(Scene { name, case: "as-is", mesh, lattice: false });

@@ -21,8 +21,8 @@ const RADII: [f32; 3] = [0.03, 0.1, f32::INFINITY];
 const RAYS: [u32; 2] = [64, 256];
 
 /// Receivers that stay together, as neighbours in a bake of the whole surface, and those of the whole surface.
-const RUN: usize = 32;
-const WHOLE: usize = 1 << 17;
+const RUN_RECEIVERS: usize = 32;
+const SURFACE_RECEIVERS: usize = 1 << 17;
 
 /// The ways to answer.
 const METHODS: [&str; 4] = ["bvh", "bvh-volumetric", "bvh-volumetric+cache", "mask"];
@@ -65,7 +65,7 @@ pub fn rows(options: &Options, output: &mut Output) -> Result<()> {
         };
         for (place, surface) in [("mesh", &body), ("ground", &around(&body, scene.mesh.bounds().min.y))] {
             for rays in RAYS {
-                let receivers = thin(scenes::receivers(surface, WHOLE, 1), rays, options.quick);
+                let receivers = thin(scenes::receivers(surface, SURFACE_RECEIVERS, 1), rays, options.quick);
                 for radius in RADII {
                     measure(name, place, &built, &receivers, rays, radius, options, output)?;
                 }
@@ -89,9 +89,12 @@ fn around(body: &TriangleMesh, y: f32) -> TriangleMesh {
 /// Evenly spaced runs of neighbours, for about half a million rays; a quarter of that in the quick form.
 fn thin(receivers: Receivers, rays: u32, quick: bool) -> Receivers {
     let count = (if quick { 1 << 17 } else { 1 << 19 }) / rays as usize;
-    let (runs, wanted) = (receivers.points.len() / RUN, (count / RUN).max(1));
-    let pick =
-        |v: &[Vec3]| (0..wanted).flat_map(|i| v[i * runs / wanted * RUN..][..RUN].iter().copied()).collect();
+    let (runs, wanted) = (receivers.points.len() / RUN_RECEIVERS, (count / RUN_RECEIVERS).max(1));
+    let pick = |v: &[Vec3]| {
+        (0..wanted)
+            .flat_map(|i| v[i * runs / wanted * RUN_RECEIVERS..][..RUN_RECEIVERS].iter().copied())
+            .collect()
+    };
     Receivers { points: pick(&receivers.points), normals: pick(&receivers.normals) }
 }
 

@@ -13,7 +13,7 @@ use umbrage_occlusion::volumetric::{LazySolidBvh, ObjectMesh, SolidBvhOptions, S
 pub const NAME: &str = "36-instances";
 
 /// Where rays start, as a part of their length: instances' surfaces are not where those of the flat mesh are, by rounding.
-const START: f32 = 1e-3;
+const START_SHARE: f32 = 1e-3;
 
 /// The 36 objects as instances of 12 meshes, under the shadow rays of the same objects in one mesh, and a 13th mesh that no ray
 /// comes near.
@@ -22,8 +22,8 @@ pub fn measure(folder: &Path, options: &Options, output: &mut Output) -> Result<
     let flat = scene::many(NAME, folder, 0)?;
     let plain = Bvh::build(&flat.mesh.positions, &flat.mesh.triangles, &BuildOptions::default())?;
     let shadows = flat.shadows(&plain, SIDE, PER_LIGHT, if options.quick { 128 } else { 32 }, 0);
-    let rays: Vec<Ray> = shadows.rays.iter().map(|ray| Ray { tnear: START, ..*ray }).collect();
-    let scene::PlacedMeshes { mut meshes, maps } = scene::crowd(folder, &mut RandomStream::new(7, 0))?;
+    let rays: Vec<Ray> = shadows.rays.iter().map(|ray| Ray { tnear: START_SHARE, ..*ray }).collect();
+    let scene::Crowd { mut meshes, maps } = scene::crowd(folder, &mut RandomStream::new(7, 0))?;
     meshes.push(meshes[0].clone());
     let place = |(mesh, map): (usize, Affine3A)| Placement { bvh: mesh as u32, world_from_object: map };
     let mut placements: Vec<Placement> = maps.into_iter().map(place).collect();

@@ -29,10 +29,10 @@ pub const ORDERS: [(&str, Order); 6] = [
 pub const AUTO: &str = "auto";
 
 /// Of these, with a guide.
-const GUIDED_ORDERS: [&str; 2] = ["extended", "solid"];
+const GUIDED: [&str; 2] = ["extended", "solid"];
 
 /// Methods of the renderer that walk a kd-tree, with the suite's names for what they do.
-const RENDERER_METHODS: [(&str, &str); 5] = [
+const OF_RENDERER: [(&str, &str); 5] = [
     ("kd", "kd"),
     ("kd-volumetric:extended", "kd-volumetric:extended+cache"),
     ("kd-volumetric:qdbfs", "kd-volumetric:qdbfs+cache"),
@@ -60,7 +60,7 @@ pub struct Structures {
 }
 
 /// Less is measured several times, seconds.
-const REPEATED_BELOW_SECONDS: f64 = 0.2;
+const MIN_BUILD_SECONDS: f64 = 0.2;
 
 /// What is made of what was prepared, and the seconds that it took: the median of five if it is quick.
 fn timed<P, T>(prepare: impl Fn() -> P, make: impl Fn(P) -> T) -> (T, f64) {
@@ -71,7 +71,7 @@ fn timed<P, T>(prepare: impl Fn() -> P, make: impl Fn(P) -> T) -> (T, f64) {
         (made, start.elapsed().as_secs_f64())
     };
     let (made, first) = once();
-    if first > REPEATED_BELOW_SECONDS {
+    if first > MIN_BUILD_SECONDS {
         return (made, first);
     }
     let times: Vec<f64> = std::iter::once(first).chain((1..5).map(|_| once().1)).collect();
@@ -169,7 +169,7 @@ pub struct Caster<'a> {
 pub fn of_renderer(occluders: &Occluders) -> Result<Vec<Named<'_>>> {
     let method =
         |(name, ours): (&str, _)| Ok((ours, engine::shadows(name.parse()?, occluders, &mut |_| true)?));
-    RENDERER_METHODS.into_iter().map(method).collect()
+    OF_RENDERER.into_iter().map(method).collect()
 }
 
 /// A method of the renderer, and what rows call it.
@@ -186,9 +186,7 @@ pub fn kd_casters<'a>(s: &'a Structures, renderer: &'a [Named<'a>]) -> Vec<Caste
         add("kd", call, Kind::Kd(&s.kd, Order::RAY, Use::Not), s.kd_s, s.kd.tree().bytes());
         for (name, order) in ORDERS {
             for (how, suffix) in [(Use::Plain, ""), (Use::Cached, "+cache"), (Use::Guided, "+guide")] {
-                if (how == Use::Guided && !GUIDED_ORDERS.contains(&name))
-                    || (how == Use::Cached && name == "ray")
-                {
+                if (how == Use::Guided && !GUIDED.contains(&name)) || (how == Use::Cached && name == "ray") {
                     continue;
                 }
                 let method = format!("kd-volumetric:{name}{suffix}");
@@ -297,23 +295,23 @@ impl Caster<'_> {
     }
 
     /// An empty tally.
-    pub fn tally(&self) -> WorkCounters {
+    pub fn tally(&self) -> Tally {
         match self.kind {
-            Kind::Bvh(_) | Kind::Renderer(_) => WorkCounters::Bvh(Counters::default()),
-            Kind::Solid(..) => WorkCounters::Solid(Counters::default()),
-            Kind::Kd(..) => WorkCounters::Kd(Counters::default()),
+            Kind::Bvh(_) | Kind::Renderer(_) => Tally::Bvh(Counters::default()),
+            Kind::Solid(..) => Tally::Solid(Counters::default()),
+            Kind::Kd(..) => Tally::Kd(Counters::default()),
         }
     }
 
     /// Answers every ray and counts the work.
-    pub fn count(&self, scene: &Scene, shadows: &Shadows, tally: &mut WorkCounters) {
+    pub fn count(&self, scene: &Scene, shadows: &Shadows, tally: &mut Tally) {
         match (self.kind, tally) {
-            (Kind::Bvh(bvh), WorkCounters::Bvh(counters)) => {
+            (Kind::Bvh(bvh), Tally::Bvh(counters)) => {
                 for ray in &shadows.rays {
                     bvh.any_hit_with(ray, counters);
                 }
             }
-            (Kind::Solid(solid, remembered), WorkCounters::Solid(counters)) => {
+            (Kind::Solid(solid, remembered), Tally::Solid(counters)) => {
                 let mut scratch = solid.scratch();
                 for (light, range) in shadows.runs(false) {
                     let light = light.filter(|_| remembered);
@@ -322,11 +320,11 @@ impl Caster<'_> {
                     }
                 }
             }
-            (Kind::Kd(..), WorkCounters::Kd(counters)) => {
+            (Kind::Kd(..), Tally::Kd(counters)) => {
                 let mut hits = vec![false; shadows.rays.len()];
                 self.run_kd(scene, shadows, &mut hits, counters);
             }
-            (Kind::Renderer(method), WorkCounters::Bvh(counters)) => {
+            (Kind::Renderer(method), Tally::Bvh(counters)) => {
                 let mut hits = vec![false; shadows.rays.len()];
                 run_method(method, shadows, &mut hits, Some(counters));
             }
@@ -335,9 +333,9 @@ impl Caster<'_> {
     }
 
     /// What was counted over `rays` rays.
-    pub fn report(&self, scene: &Scene, tally: &WorkCounters, rays: usize) -> (Counters, Value) {
+    pub fn report(&self, scene: &Scene, tally: &Tally, rays: usize) -> (Counters, Value) {
         match (self.kind, tally) {
-            (Kind::Solid(solid, _), WorkCounters::Solid(counters)) => {
+            (Kind::Solid(solid, _), Tally::Solid(counters)) => {
                 let lights: Vec<_> = scene.lights.iter().map(|light| light.bounds().center()).collect();
                 let forecast = solid.forecast(&lights);
                 let value = json!({
@@ -358,7 +356,7 @@ impl Caster<'_> {
                 });
                 (Counters::default(), value)
             }
-            (Kind::Kd(kd, ..), WorkCounters::Kd(c)) => {
+            (Kind::Kd(kd, ..), Tally::Kd(c)) => {
                 let lanes = if self.call == Call::Single { 1.0 } else { 4.0 };
                 let value = json!({
                     "counted_rays": rays,
@@ -379,7 +377,7 @@ impl Caster<'_> {
                 });
                 (*c, value)
             }
-            (_, WorkCounters::Bvh(counters)) => {
+            (_, Tally::Bvh(counters)) => {
                 let value = json!({
                     "counted_rays": rays, "nodes": counters.nodes, "triangle_tests": counters.triangle_tests,
                     "box_tests": counters.box_tests,
@@ -414,7 +412,7 @@ fn run_method(
 }
 
 /// Work of a caster over parts of an image.
-pub enum WorkCounters {
+pub enum Tally {
     Bvh(Counters),
     Solid(Counters),
     Kd(Counters),

@@ -8,12 +8,12 @@ mod scene;
 mod tables;
 
 use self::{
-    methods::{Call, Caster, Run, Structures, WorkCounters, kd_casters, of_renderer, wide_casters},
+    methods::{Call, Caster, Run, Structures, Tally, kd_casters, of_renderer, wide_casters},
     scene::{Scene, Shadows},
     tables::Tables,
 };
 use crate::{
-    anyhit::measure::{HEATS, fastest, measure as heats},
+    anyhit::measure::{CHOOSING_PASSES, fastest, measure as heats},
     entry::{Entry, OnThreads},
     peer::{self, Peer, PeerName},
     rows::{Output, Row, Timed, alternate, median, note, paired_speedup},
@@ -44,7 +44,7 @@ pub struct Options {
 const PARTS: [&str; 3] = ["wide", "kd", "ambient"];
 
 /// Closed meshes under area lights; the rest are generators.
-const SINGLE: [&str; 9] = [
+const CLOSED_MESHES: [&str; 9] = [
     "bunny_60k",
     "armadillo_86k",
     "dragon_871k",
@@ -56,7 +56,7 @@ const SINGLE: [&str; 9] = [
     "fertility",
 ];
 /// Of these, in the quick form; in the full one, work is counted over their whole images, and timed over a thirty-second part.
-const QUICK: usize = 3;
+const QUICK_MESHES: usize = 3;
 
 /// Width and height of images, and rays to each area light (Djeu11, section 3.7.2).
 const SIDE: u32 = 1024;
@@ -78,8 +78,8 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
     }
     let mut tables = Tables::default();
     let wanted = |name: &str| options.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
-    for (i, name) in SINGLE.into_iter().enumerate() {
-        let in_quick = i < QUICK || ["dragonish", "knots"].contains(&name);
+    for (i, name) in CLOSED_MESHES.into_iter().enumerate() {
+        let in_quick = i < QUICK_MESHES || ["dragonish", "knots"].contains(&name);
         if !wanted(name) || (options.quick && !in_quick) {
             continue;
         }
@@ -120,7 +120,7 @@ pub fn run(options: &Options, output: &mut Output) -> Result<()> {
 type Best<'a> = Box<dyn Entry<bool> + 'a>;
 
 fn best_of<'a>(peer: &'a dyn Peer, rays: &'a [Ray]) -> Option<Best<'a>> {
-    let all = fastest(heats(peer.any_hit(rays), HEATS, None));
+    let all = fastest(heats(peer.any_hit(rays), CHOOSING_PASSES, None));
     let name = peer.name();
     all.into_iter().map(|m| m.entry).find(|entry| entry.method() == name)
 }
@@ -153,8 +153,10 @@ fn measure(scene: &Scene, options: &Options, tables: &mut Tables, output: &mut O
     let modes: Vec<(&str, String)> = rivals.iter().map(|rival| (rival.method(), rival.mode())).collect();
     let (times, answers) = case.time(&casters, rivals, passes);
     let wrong = brute_differences(scene, &shadows, &answers[0]);
-    let mut tallies: Vec<(WorkCounters, usize)> = casters.iter().map(|caster| (caster.tally(), 0)).collect();
-    let whole = !options.quick && options.part.is_none() && SINGLE[..QUICK].contains(&scene.name.as_str());
+    let mut tallies: Vec<(Tally, usize)> = casters.iter().map(|caster| (caster.tally(), 0)).collect();
+    let whole = !options.quick
+        && options.part.is_none()
+        && CLOSED_MESHES[..QUICK_MESHES].contains(&scene.name.as_str());
     for index in 0..if whole { step } else { 1 } {
         let other = (index > 0).then(|| part(index));
         let shadows = other.as_ref().unwrap_or(&shadows);

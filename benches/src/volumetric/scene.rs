@@ -157,7 +157,7 @@ pub fn single(name: &str, mesh: &TriangleMesh) -> Scene {
 }
 
 /// Meshes that are placed on the ground, each three times.
-const PLACED_MESHES: [&str; 12] = [
+const CROWD: [&str; 12] = [
     "bunny_6k",
     "spot",
     "cow",
@@ -173,16 +173,16 @@ const PLACED_MESHES: [&str; 12] = [
 ];
 
 /// Meshes, and maps with the mesh that each is for.
-pub struct PlacedMeshes {
+pub struct Crowd {
     pub meshes: Vec<TriangleMesh>,
     pub maps: Vec<(usize, Affine3A)>,
 }
 
-/// The meshes of `PLACED_MESHES` in 36 places.
-pub fn crowd(folder: &Path, random: &mut RandomStream) -> Result<PlacedMeshes> {
+/// The meshes of `CROWD` in 36 places.
+pub fn crowd(folder: &Path, random: &mut RandomStream) -> Result<Crowd> {
     let read =
         |name: &&str| umbrage_scene::read_mesh(&folder.join("closed").join(name).with_extension("obj"));
-    let meshes: Vec<TriangleMesh> = PLACED_MESHES.iter().map(read).collect::<Result<_, _>>()?;
+    let meshes: Vec<TriangleMesh> = CROWD.iter().map(read).collect::<Result<_, _>>()?;
     let map = |k: usize| {
         let (x, z) = ((k % 6) as f32 - 2.5, (k / 6) as f32 - 2.5);
         let at = Vec3::new(x * 0.9 + 0.3 * random.next_unit(), 0.0, z * 0.9 + 0.3 * random.next_unit());
@@ -190,13 +190,13 @@ pub fn crowd(folder: &Path, random: &mut RandomStream) -> Result<PlacedMeshes> {
         (mesh, placing(&meshes[mesh], at, 0.5 + 0.5 * random.next_unit(), TAU * random.next_unit()))
     };
     let maps = (0..36).map(map).collect();
-    Ok(PlacedMeshes { meshes, maps })
+    Ok(Crowd { meshes, maps })
 }
 
 /// 36 objects on the ground, with `leaves` small squares above them.
 pub fn many(name: &str, folder: &Path, leaves: u32) -> Result<Scene> {
     let mut random = RandomStream::new(7, 0);
-    let PlacedMeshes { meshes, maps } = crowd(folder, &mut random)?;
+    let Crowd { meshes, maps } = crowd(folder, &mut random)?;
     let mut parts: Vec<TriangleMesh> = maps.iter().map(|(mesh, map)| moved(&meshes[*mesh], map)).collect();
     if leaves > 0 {
         let mut cloud = TriangleMesh::default();

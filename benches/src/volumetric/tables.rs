@@ -45,10 +45,10 @@ const PUBLISHED: [&str; 4] = [
     "kd-volumetric:qdbfs",
     "kd-volumetric:qdbfs+cache",
 ];
-const BASE: &str = "kd";
-const BEST: &str = "kd-volumetric:qdbfs+cache";
-const GUIDED: &str = "kd-volumetric:solid+guide";
-const EXTENDED: &str = "kd-volumetric:extended-8+cache";
+const BASELINE_METHOD: &str = "kd";
+const FASTEST_METHOD: &str = "kd-volumetric:qdbfs+cache";
+const GUIDED_METHOD: &str = "kd-volumetric:solid+guide";
+const SPARSE_METHOD: &str = "kd-volumetric:extended-8+cache";
 
 impl Tables {
     pub fn add(&mut self, row: Row, counters: Counters) {
@@ -61,7 +61,7 @@ impl Tables {
         let mut by_answer = [[0.0; 2]; 3];
         for (k, wanted) in [true, false].into_iter().enumerate() {
             let part = only(case.shadows, answers, wanted);
-            for (m, method) in [BASE, BEST, GUIDED].into_iter().enumerate() {
+            for (m, method) in [BASELINE_METHOD, FASTEST_METHOD, GUIDED_METHOD].into_iter().enumerate() {
                 let find = |c: &&Caster| c.method == method && c.call == Call::Single;
                 let caster = casters.iter().find(find).map(std::slice::from_ref);
                 let case = Case { shadows: &part, ..*case };
@@ -102,8 +102,10 @@ impl Tables {
     fn figure(&self, title: &str, value: impl Fn(&Row, &Counters) -> f64) {
         println!("\n{title}");
         let mut lines: BTreeMap<&str, Vec<String>> = BTreeMap::new();
-        for (row, counters) in
-            self.rows.iter().filter(|(row, _)| row.method.starts_with(BASE) && row.params["call"] == "single")
+        for (row, counters) in self
+            .rows
+            .iter()
+            .filter(|(row, _)| row.method.starts_with(BASELINE_METHOD) && row.params["call"] == "single")
         {
             let name = row.method.trim_start_matches("kd-volumetric:");
             lines.entry(&row.scene).or_default().push(format!("{name} {:.1}", value(row, counters)));
@@ -123,7 +125,7 @@ impl Tables {
         self.figure("Mean area of found occluders, 1e-3 of the unit square", |_, c| {
             c.cell_area / c.cell_hits.max(1) as f64 * 1e3
         });
-        for (figure, method) in [("3.10", BEST), ("4.36", EXTENDED)] {
+        for (figure, method) in [("3.10", FASTEST_METHOD), ("4.36", SPARSE_METHOD)] {
             println!("\nFigure {figure}: shadow rays of {method}, % miss / triangle / occluder");
             for scene in &self.scenes {
                 if let Some((_, c)) = self.find(&scene.name, method, "single") {
@@ -170,7 +172,7 @@ impl Tables {
         );
         for s in &self.scenes {
             let (Some(a), Some(b)) = (
-                self.find(&s.name, BASE, "together"),
+                self.find(&s.name, BASELINE_METHOD, "together"),
                 self.fastest(&s.name, "together", |method| PUBLISHED.contains(&method)),
             ) else {
                 continue;
@@ -212,7 +214,7 @@ impl Tables {
              all, % saved"
         );
         for s in &self.scenes {
-            let Some((base, _)) = self.find(&s.name, BASE, call) else { continue };
+            let Some((base, _)) = self.find(&s.name, BASELINE_METHOD, call) else { continue };
             let (Some(published), Some(any)) = (
                 self.fastest(&s.name, call, |method| PUBLISHED.contains(&method)),
                 self.fastest(&s.name, call, |_| true),
@@ -242,7 +244,9 @@ impl Tables {
         let points: Vec<&SceneFacts> = self.scenes.iter().filter(|s| s.name.contains("points")).collect();
         for s in &points {
             let find = |method| self.find(&s.name, method, "single").map(|(row, _)| row);
-            let (Some(base), Some(bfs), Some(di)) = (find(BASE), find(BEST), find(EXTENDED)) else {
+            let (Some(base), Some(bfs), Some(di)) =
+                (find(BASELINE_METHOD), find(FASTEST_METHOD), find(SPARSE_METHOD))
+            else {
                 continue;
             };
             let ns = |row: &Row| row.time_s / s.rays as f64 * 1e9;
@@ -262,7 +266,7 @@ impl Tables {
             "\nTable 4.3: cache hits, rays ended by occluders, % of rays near generators (deferred intersection)"
         );
         for s in &points {
-            if let Some((_, c)) = self.find(&s.name, EXTENDED, "single") {
+            if let Some((_, c)) = self.find(&s.name, SPARSE_METHOD, "single") {
                 let all = c.cache_lookups.max(1) as f64 / 100.0;
                 println!("  {:<18} {:.1} {:.1}", s.name, c.cache_hits as f64 / all, c.cell_hits as f64 / all);
             }

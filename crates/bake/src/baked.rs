@@ -15,10 +15,10 @@ use umbrage_scene::{
 };
 
 /// Marks receivers of other shards in a part.
-const MISSING: f32 = -1.0;
+const OTHER_SHARD_AO: f32 = -1.0;
 
 /// First word of the comment that makes a PLY a part.
-const MARK: &str = "umbrage-part";
+const PART_COMMENT: &str = "umbrage-part";
 
 /// What was baked, with what is needed to write it down.
 #[derive(Clone, Debug, PartialEq)]
@@ -194,13 +194,13 @@ impl Baked {
     /// [`BakedError::Extension`] unless the name ends in `.ply`; [`BakedError::Write`].
     pub fn write_part(&self, path: &Path, shard: Shard, fingerprint: u64) -> Result<(), BakedError> {
         check_part_extension(path)?;
-        let ao: Vec<f32> = self.ao.iter().map(|&ao| if ao.is_nan() { MISSING } else { ao }).collect();
+        let ao: Vec<f32> = self.ao.iter().map(|&ao| if ao.is_nan() { OTHER_SHARD_AO } else { ao }).collect();
         let kind = match &self.target {
             BakeTarget::Vertices(_) => "vertices 0 0 0".into(),
             BakeTarget::Points { .. } => "points 0 0 0".into(),
             BakeTarget::Texels { width, height, dilate, .. } => format!("texels {width} {height} {dilate}"),
         };
-        let comment = format!("{MARK} {shard} {fingerprint:016x} {kind}");
+        let comment = format!("{PART_COMMENT} {shard} {fingerprint:016x} {kind}");
         let (scalars, comments) = ([("ao", &ao[..])], [comment.as_str()]);
         let attributes =
             VertexAttributes { scalars: &scalars, comments: &comments, ..VertexAttributes::default() };
@@ -242,7 +242,7 @@ struct Header {
 
 impl Header {
     fn parse(comments: &[String]) -> Option<Self> {
-        let mut words = comments.iter().find_map(|c| c.trim().strip_prefix(MARK))?.split_whitespace();
+        let mut words = comments.iter().find_map(|c| c.trim().strip_prefix(PART_COMMENT))?.split_whitespace();
         let shard = words.next()?.parse().ok()?;
         let fingerprint = u64::from_str_radix(words.next()?, 16).ok()?;
         let kind = words.next()?.into();
@@ -285,7 +285,8 @@ fn read_part(path: &Path) -> Result<(Header, Baked), BakedError> {
     let not_a_part = || BakedError::NotAPart(path.into());
     let header = Header::parse(&ply.comments).ok_or_else(not_a_part)?;
     let ao = std::mem::take(&mut ply.ao);
-    if ao.len() != ply.positions.len() || !ao.iter().all(|&a| a == MISSING || (0.0..=1.0).contains(&a)) {
+    if ao.len() != ply.positions.len() || !ao.iter().all(|&a| a == OTHER_SHARD_AO || (0.0..=1.0).contains(&a))
+    {
         return Err(not_a_part());
     }
     let target = header.target(ply).ok_or_else(not_a_part)?;
@@ -316,7 +317,7 @@ pub fn merge(parts: &[PathBuf]) -> Result<Baked, BakedError> {
         }
         seen.push((header.shard, path));
         for (ao, new) in baked.ao.iter_mut().zip(part.ao) {
-            if new != MISSING {
+            if new != OTHER_SHARD_AO {
                 *ao = new;
             }
         }
@@ -327,7 +328,7 @@ pub fn merge(parts: &[PathBuf]) -> Result<Baked, BakedError> {
     if !missing.is_empty() {
         return Err(ShardError::Missing { count: first.shard.count(), missing }.into());
     }
-    if baked.ao.contains(&MISSING) {
+    if baked.ao.contains(&OTHER_SHARD_AO) {
         return Err(BakedError::NotAPart(first_path.clone()));
     }
     Ok(baked)

@@ -6,7 +6,7 @@
 
 use super::{
     Bake, BakeError, BakeOptions, Receivers,
-    lobes::{self, Asked},
+    lobes::{self, LobeReceiver},
     receivers::check_count,
 };
 use rayon::prelude::*;
@@ -16,14 +16,14 @@ use umbrage_image::Shard;
 use umbrage_query::{Engine, LightRay, Sky};
 
 /// Receivers that are computed together; they are neighbours in Morton order.
-const BLOCK: usize = 64;
+const BLOCK_RECEIVERS: usize = 64;
 
 /// Rays that are traced together.
-const BATCH: usize = 1024;
+const MAX_BATCH_RAYS: usize = 1024;
 
 /// Blocks of receivers, the most [`Shard`]s that `receivers` of them can be split into.
 pub fn blocks(receivers: usize) -> usize {
-    receivers.div_ceil(BLOCK)
+    receivers.div_ceil(BLOCK_RECEIVERS)
 }
 
 /// [`crate::Bake`] by an engine that answers rays; says how many rays it took.
@@ -72,7 +72,7 @@ pub(super) fn shard_of(receivers: &Receivers, shard: Shard, ao: &[f32]) -> Resul
     }
     let order = morton::order(receivers.points());
     let first = shard.index() as usize - 1;
-    Ok(order.chunks(BLOCK).skip(first).step_by(count).map(<[u32]>::to_vec).collect())
+    Ok(order.chunks(BLOCK_RECEIVERS).skip(first).step_by(count).map(<[u32]>::to_vec).collect())
 }
 
 /// Rays of a receiver that are traced together, and what passed.
@@ -92,7 +92,7 @@ fn block_ao(
     scratch: &mut Scratch,
 ) -> Result<Vec<f32>, BakeError> {
     let asked = lobes::asked(receivers, block, options)?;
-    let open = |asked: &Asked| -> Result<f32, BakeError> {
+    let open = |asked: &LobeReceiver| -> Result<f32, BakeError> {
         let receiver = &asked.receiver;
         let Scratch { rays: batch, passed } = &mut *scratch;
         let directions = pattern.directions(pattern.member_of(receiver));
@@ -100,7 +100,7 @@ fn block_ao(
         let mut light = 0.0;
         loop {
             batch.clear();
-            let next = rays.by_ref().take(BATCH);
+            let next = rays.by_ref().take(MAX_BATCH_RAYS);
             batch.extend(next.map(|(ray, &d)| LightRay::new(ray, pattern.solid_angle(d))));
             if batch.is_empty() {
                 return Ok((light / pattern.len() as f64) as f32);

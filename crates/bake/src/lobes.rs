@@ -10,10 +10,10 @@ use umbrage_geom::{
 use umbrage_query::Pilot;
 
 /// Tells the draw of a receiver's lobe apart from its rays.
-const PILOT: u32 = 0x6d61_736b;
+const LOBE_DRAW_SALT: u32 = 0x6d61_736b;
 
 /// A lobe of a receiver.
-pub(super) struct Asked {
+pub(super) struct LobeReceiver {
     pub receiver: Receiver,
     /// Index into the receivers of the shard.
     pub slot: usize,
@@ -29,7 +29,7 @@ pub(super) fn asked(
     receivers: &Receivers,
     mine: &[u32],
     options: &BakeOptions,
-) -> Result<Vec<Asked>, BakeError> {
+) -> Result<Vec<LobeReceiver>, BakeError> {
     let mut asked = Vec::new();
     for (slot, &index) in mine.iter().enumerate() {
         let index = index as usize;
@@ -40,7 +40,7 @@ pub(super) fn asked(
             let seed = Receiver::seed_of(lobe.point.to_array(), lobe.normal.to_array(), options.seed);
             let receiver = Receiver::new(index, origin.to_array(), lobe.normal.to_array(), seed)?;
             let receiver = receiver.with_face(lobe.face.to_array());
-            asked.push(Asked { receiver, slot, share: Lobe::share(lobes, number) });
+            asked.push(LobeReceiver { receiver, slot, share: Lobe::share(lobes, number) });
         }
     }
     Ok(asked)
@@ -64,8 +64,8 @@ pub(super) fn drawn(
     some: &[u32],
     options: &BakeOptions,
 ) -> Result<Vec<Receiver>, BakeError> {
-    let draw = |lobes: &[Asked]| {
-        let mut left = unit(combine(lobes[0].receiver.seed(), PILOT));
+    let draw = |lobes: &[LobeReceiver]| {
+        let mut left = unit(combine(lobes[0].receiver.seed(), LOBE_DRAW_SALT));
         let drawn = lobes.iter().find(|lobe| {
             left -= lobe.share;
             left < 0.0
@@ -77,10 +77,10 @@ pub(super) fn drawn(
 }
 
 /// Means over the lobes of each of `count` receivers; receivers without a direction are open.
-pub(super) fn means(asked: &[Asked], open: &[f32], count: usize) -> Vec<f32> {
+pub(super) fn means(asked: &[LobeReceiver], open: &[f32], count: usize) -> Vec<f32> {
     let mut means = vec![1.0; count];
     let mut last = usize::MAX;
-    for (&Asked { slot, share, .. }, open) in asked.iter().zip(open) {
+    for (&LobeReceiver { slot, share, .. }, open) in asked.iter().zip(open) {
         if slot != last {
             means[slot] = 0.0;
         }
@@ -91,9 +91,9 @@ pub(super) fn means(asked: &[Asked], open: &[f32], count: usize) -> Vec<f32> {
 }
 
 /// Bent normals of each of `count` receivers from the free directions of their lobes: the mean normal where nothing passes.
-pub(super) fn bent_normals(asked: &[Asked], free: &[[f32; 3]], count: usize) -> Vec<[f32; 3]> {
+pub(super) fn bent_normals(asked: &[LobeReceiver], free: &[[f32; 3]], count: usize) -> Vec<[f32; 3]> {
     let mut sums = vec![(Vec3::ZERO, Vec3::ZERO); count];
-    for (&Asked { receiver, slot, share, .. }, &free) in asked.iter().zip(free) {
+    for (&LobeReceiver { receiver, slot, share, .. }, &free) in asked.iter().zip(free) {
         sums[slot].0 += Vec3::from(free) * share;
         sums[slot].1 += receiver.normal() * share;
     }

@@ -3,7 +3,7 @@
 use super::{
     Bake, BakeError,
     integrate::shard_of,
-    lobes::{self, Asked},
+    lobes::{self, LobeReceiver},
 };
 use std::io::{self, Write};
 use umbrage_aomask::{Outputs, Pattern, Receiver, exact::adaptive::Spent};
@@ -55,7 +55,7 @@ pub(super) fn bake_receivers(
 }
 
 fn write_rays(
-    asked: &[Asked],
+    asked: &[LobeReceiver],
     masks: &[u64],
     pattern: &Pattern,
     radius: f32,

@@ -68,7 +68,7 @@ impl Receivers {
     /// [`BakeError::Mesh`] (index 0), [`BakeError::NoNormals`].
     pub fn vertices(mesh: &TriangleMesh, normals: NormalSource) -> Result<Self, BakeError> {
         mesh.validate().map_err(|source| BakeError::Mesh { index: 0, source })?;
-        let mut corners = Corners::new(mesh);
+        let mut corners = VertexTriangles::new(mesh);
         let means = vertex_normals(mesh, normals)?;
         let mut receivers = Self::default();
         let mut lobes = Vec::new();
@@ -215,23 +215,23 @@ pub(super) fn vertex_normals(
 }
 
 /// Triangles around each vertex.
-struct Corners<'a> {
+struct VertexTriangles<'a> {
     mesh: &'a TriangleMesh,
     /// Triangles in order of vertex; `ends[v]` is where those of `v` end.
     triangles: Vec<(u32, u8)>,
     ends: Vec<usize>,
-    around: Vec<Around>,
+    around: Vec<VertexTriangle>,
 }
 
 /// A triangle with area at a vertex.
-struct Around {
+struct VertexTriangle {
     corners: [[f32; 3]; 3],
     normal: DVec3,
     /// At the vertex, radians.
     angle: f64,
 }
 
-impl<'a> Corners<'a> {
+impl<'a> VertexTriangles<'a> {
     fn new(mesh: &'a TriangleMesh) -> Self {
         let mut ends = vec![0; mesh.positions.len()];
         mesh.triangles.iter().flatten().for_each(|&v| ends[v as usize] += 1);
@@ -251,7 +251,7 @@ impl<'a> Corners<'a> {
     }
 
     /// Triangles with area around `vertex`, and the largest coordinate of all its triangles.
-    fn of(&mut self, vertex: usize) -> (&[Around], f32) {
+    fn of(&mut self, vertex: usize) -> (&[VertexTriangle], f32) {
         let start = if vertex == 0 { 0 } else { self.ends[vertex - 1] };
         let mut largest = 0f32;
         self.around.clear();
@@ -262,7 +262,7 @@ impl<'a> Corners<'a> {
             if normal != DVec3::ZERO {
                 let corners = self.mesh.triangle(index);
                 let angle = angle(corners.map(|p| Vec3::from(p).as_dvec3()), corner.into());
-                self.around.push(Around { corners, normal, angle });
+                self.around.push(VertexTriangle { corners, normal, angle });
             }
         }
         (&self.around, largest)
@@ -270,7 +270,7 @@ impl<'a> Corners<'a> {
 }
 
 /// One lobe for each triangle around a vertex, its share the triangle's angle.
-fn split(point: Vec3, magnitude: f32, around: &[Around], lobes: &mut Vec<Lobe>) {
+fn split(point: Vec3, magnitude: f32, around: &[VertexTriangle], lobes: &mut Vec<Lobe>) {
     let total: f64 = around.iter().map(|a| a.angle).sum();
     let mut sum = 0.0;
     for triangle in around.iter().filter(|a| a.angle > 0.0) {

@@ -14,7 +14,7 @@ const MAX_REPEATS: f64 = 8.0;
 const MAX_UV: f64 = 1024.0 * MAX_REPEATS;
 
 /// Marks a texel that no triangle covers.
-const NONE: u32 = u32::MAX;
+const NO_TRIANGLE: u32 = u32::MAX;
 
 /// Which way texture coordinate `v` runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -83,7 +83,8 @@ impl TexelMap {
             return Err(BakeError::NoUvs);
         }
         let texels = width as usize * height as usize;
-        let mut map = Self { width, height, triangles: vec![NONE; texels], weights: vec![[0.0; 2]; texels] };
+        let mut map =
+            Self { width, height, triangles: vec![NO_TRIANGLE; texels], weights: vec![[0.0; 2]; texels] };
         for (triangle, uvs) in mesh.corner_uvs.iter().enumerate() {
             let corners = uvs.map(|[u, v]| {
                 let v = if v_axis == VAxis::Up { 1.0 - f64::from(v) } else { f64::from(v) };
@@ -100,7 +101,7 @@ impl TexelMap {
             let size = DVec2::new(width.into(), height.into());
             map.draw(triangle as u32, corners.map(|c| c * size));
         }
-        if map.triangles.iter().all(|&t| t == NONE) {
+        if map.triangles.iter().all(|&t| t == NO_TRIANGLE) {
             return Err(BakeError::NoTexel { width, height });
         }
         Ok(map)
@@ -124,7 +125,7 @@ impl TexelMap {
                 let x = column.rem_euclid(self.width.into()) as usize;
                 let y = row.rem_euclid(self.height.into()) as usize;
                 let texel = y * self.width as usize + x;
-                if self.triangles[texel] == NONE {
+                if self.triangles[texel] == NO_TRIANGLE {
                     let sum = sides[0] + sides[1] + sides[2];
                     self.triangles[texel] = triangle;
                     self.weights[texel] = [(sides[1] / sum) as f32, (sides[2] / sum) as f32];
@@ -140,7 +141,7 @@ impl TexelMap {
 
     /// Whether a triangle covers each texel, row by row.
     pub fn covered(&self) -> Vec<bool> {
-        self.triangles.iter().map(|&t| t != NONE).collect()
+        self.triangles.iter().map(|&t| t != NO_TRIANGLE).collect()
     }
 
     /// Receivers at the covered texels, row by row; `mesh` is the one the map was made from.
@@ -156,7 +157,7 @@ impl TexelMap {
             NormalSource::File | NormalSource::Geometric => None,
             NormalSource::Smooth => vertex_normals(mesh, normals)?,
         };
-        let covered = self.triangles.iter().zip(&self.weights).filter(|t| *t.0 != NONE);
+        let covered = self.triangles.iter().zip(&self.weights).filter(|t| *t.0 != NO_TRIANGLE);
         check_count(covered.clone().count())?;
         let mut receivers = Receivers::default();
         for (&triangle, &[u, v]) in covered {

@@ -1,7 +1,7 @@
 //! A hash of everything that decides about pixels, so that only shards of the same picture are joined.
 
 use umbrage_geom::TriangleMesh;
-use umbrage_scene::Scene;
+use umbrage_scene::{Scene, Settings};
 
 /// 64-bit FNV-1a: the same on every machine and in every version, which `std`'s hasher does not promise.
 pub struct Fingerprint(u64);
@@ -51,6 +51,8 @@ impl Fingerprint {
     /// Adds a scene with its settings.
     pub fn scene(&mut self, scene: &Scene) {
         let Scene { camera, meshes, instances, materials, lights, ambient, background, settings } = scene;
+        // Pictures don't depend on memory.
+        let settings = Settings { grid_cache: Settings::default().grid_cache, ..settings.clone() };
         self.bytes(format!("{camera:?}{instances:?}{materials:?}{lights:?}").as_bytes());
         self.bytes(format!("{ambient:?}{background:?}{settings:?}").as_bytes());
         for named in meshes {

@@ -1,7 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
-pub mod color;
+mod color;
 pub mod compare;
 mod error;
 mod file;
@@ -11,7 +11,7 @@ mod openexr;
 mod png;
 mod shard;
 
-pub use color::ColorMap;
+pub use color::{ColorMap, linear_to_srgb8};
 pub use error::ImageError;
 pub use file::{Format, check_part_writable, check_writable, read, write};
 pub use film::{Film, GREY, Layer, MAX_PIXELS, MAX_SIDE, RGB, XYZ, Z, names};

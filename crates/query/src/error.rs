@@ -76,6 +76,16 @@ impl QueryError {
     }
 }
 
+impl QueryError {
+    /// Why the subdivision surface `object` can't be used.
+    pub(crate) fn from_surface(object: &str, source: SurfaceError) -> Self {
+        match source {
+            SurfaceError::Cancelled => Self::Cancelled,
+            source => Self::Surface { object: object.into(), source },
+        }
+    }
+}
+
 impl From<umbrage_geom::Cancelled> for QueryError {
     fn from(_: umbrage_geom::Cancelled) -> Self {
         Self::Cancelled

@@ -3,14 +3,14 @@
 //! A picture's rates are those of its camera, so shadows and ambient rays see the surface that the camera sees. A bake of a bare
 //! mesh has no camera and divides all faces alike.
 
-use crate::{QueryError, SurfaceMode};
+use crate::{QueryError, SurfaceMode, engine::Report, share_of};
 use std::sync::Arc;
 use umbrage_geom::{PolygonMesh, TriangleMesh, glam::Vec3};
 use umbrage_reyes::{EyeRates, RatedSurface, Surface, SurfaceError, SurfaceOptions};
 use umbrage_scene::{Ground, Scene, Settings, Subdivision, SubdivisionRate};
 
 /// Level of the mesh around which a camera is placed.
-const ROUGH_LEVEL: u8 = 2;
+const FRAMING_LEVEL: u8 = 2;
 
 /// Most times that a face is halved for a camera, however near.
 pub(crate) const MAX_LEVEL: u8 = 8;
@@ -27,39 +27,48 @@ fn surface(subdivision: &Subdivision) -> Result<Arc<Surface>, SurfaceError> {
 }
 
 /// The limit surface with every face of four corners cut into `2^level` by `2^level` cells (other faces become one such
-/// quadrilateral a corner), two triangles each, with normals, texture coordinates and objects.
+/// quadrilateral a corner), two triangles each, with normals, texture coordinates and objects. `progress` gets growing fractions
+/// that end at exactly 1, and returns `false` to cancel.
 ///
 /// # Errors
-/// [`SurfaceError`] for what is wrong with the control mesh, or a level beyond 12.
-pub fn mesh_at_level(control: &PolygonMesh, level: u8) -> Result<TriangleMesh, SurfaceError> {
+/// [`SurfaceError`] for what is wrong with the control mesh, or a level beyond 12; [`SurfaceError::Cancelled`].
+pub fn mesh_at_level(
+    control: &PolygonMesh,
+    level: u8,
+    progress: Report<'_>,
+) -> Result<TriangleMesh, SurfaceError> {
     let subdivision = Subdivision::new(control.clone(), SubdivisionRate::Level(level));
-    at_level(surface(&subdivision)?, level)
-}
-
-fn at_level(surface: Arc<Surface>, level: u8) -> Result<TriangleMesh, SurfaceError> {
-    Ok(RatedSurface::new(surface, |_| [level; 2])?.to_mesh())
+    Ok(RatedSurface::build(surface(&subdivision)?, |_| [level; 2], progress)?.to_mesh())
 }
 
 /// Puts micropolygons in the place of all control meshes of a scene whose settings ask for surfaces as meshes, at rates for its
 /// camera and image height. Objects keep their order. Does nothing to other meshes, nor a second time; nor to a scene whose
-/// surfaces are traced as such.
+/// surfaces are traced as such. `progress` gets growing fractions that end at exactly 1, and returns `false` to cancel; what was
+/// refined by then stays.
 ///
 /// # Errors
-/// [`QueryError::Surface`] for what is wrong with a control mesh or its rate; [`QueryError::UnknownMethod`].
-pub fn refine(scene: &mut Scene) -> Result<(), QueryError> {
-    if SurfaceMode::of_scene(scene)? == SurfaceMode::Mesh { refine_all(scene) } else { Ok(()) }
+/// [`QueryError::Surface`] for what is wrong with a control mesh or its rate; [`QueryError::UnknownMethod`],
+/// [`QueryError::Cancelled`].
+pub fn refine(scene: &mut Scene, progress: Report<'_>) -> Result<(), QueryError> {
+    match SurfaceMode::of_scene(scene)? {
+        SurfaceMode::Mesh => refine_all(scene, progress),
+        SurfaceMode::Once | SurfaceMode::Footprint => Ok(()),
+    }
 }
 
 /// [`refine`] whatever the settings say: for uses that need triangles.
 ///
 /// # Errors
-/// [`QueryError::Surface`].
-pub fn refine_all(scene: &mut Scene) -> Result<(), QueryError> {
-    for index in 0..scene.meshes.len() {
+/// [`QueryError::Surface`], [`QueryError::Cancelled`].
+pub fn refine_all(scene: &mut Scene, progress: Report<'_>) -> Result<(), QueryError> {
+    let has_control = |index: &usize| scene.meshes[*index].subdivision.is_some();
+    let indices: Vec<usize> = (0..scene.meshes.len()).filter(has_control).collect();
+    for (number, &index) in indices.iter().enumerate() {
         let Some(subdivision) = scene.meshes[index].subdivision.take() else { continue };
-        let mesh = rated(scene, index, &subdivision).map(|rated| rated.to_mesh());
+        let mut progress = share_of(progress, number, indices.len());
+        let mesh = rated(scene, index, &subdivision, &mut progress).map(|rated| rated.to_mesh());
         let named = &mut scene.meshes[index];
-        named.mesh = mesh.map_err(|source| QueryError::Surface { object: named.name.clone(), source })?;
+        named.mesh = mesh.map_err(|source| QueryError::from_surface(&named.name, source))?;
     }
     Ok(())
 }
@@ -69,6 +78,7 @@ pub(crate) fn rated(
     scene: &Scene,
     index: usize,
     subdivision: &Subdivision,
+    progress: Report<'_>,
 ) -> Result<RatedSurface, SurfaceError> {
     let surface = surface(subdivision)?;
     match subdivision.rate {
@@ -80,30 +90,32 @@ pub(crate) fn rated(
             let places: Vec<_> = instances.map(|i| i.world_from_object).collect();
             // Pixels are what the user asked for, wherever the surface bends.
             let rates = EyeRates::new(eye, width).with_max_level(MAX_LEVEL).with_bend(0.0);
-            RatedSurface::for_eye_on(surface, &places, &rates)
+            RatedSurface::for_eye_on(surface, &places, &rates, progress)
         }
-        SubdivisionRate::Level(level) => RatedSurface::new(surface, |_| [level; 2]),
+        SubdivisionRate::Level(level) => RatedSurface::build(surface, |_| [level; 2], progress),
     }
 }
 
 /// [`Scene::around_mesh`] with a surface whose micropolygons are about `pixels` pixels long as the scene's camera sees them.
-/// `settings` changes the scene's settings before rates are chosen.
+/// `settings` changes the scene's settings before rates are chosen; `progress` as in [`refine`].
 ///
 /// # Errors
-/// [`QueryError::Surface`] for what is wrong with the control mesh, or an edge length that is not positive.
+/// [`QueryError::Surface`] for what is wrong with the control mesh, or an edge length that is not positive;
+/// [`QueryError::Cancelled`].
 pub fn scene_around(
     name: &str,
     control: &PolygonMesh,
     pixels: f32,
     settings: impl FnOnce(&mut Settings),
+    progress: Report<'_>,
 ) -> Result<Scene, QueryError> {
-    let failed = |source| QueryError::Surface { object: name.into(), source };
-    let rough = mesh_at_level(control, ROUGH_LEVEL).map_err(failed)?;
+    let failed = |source| QueryError::from_surface(name, source);
+    let rough = mesh_at_level(control, FRAMING_LEVEL, &mut share_of(progress, 0, 2)).map_err(failed)?;
     let mut scene = Scene::around_mesh(name, rough, Ground::Below).map_err(|e| failed(e.into()))?;
     settings(&mut scene.settings);
     let rate = SubdivisionRate::Pixels(pixels);
     scene.meshes[0].subdivision = Some(Subdivision::new(control.clone(), rate));
-    refine(&mut scene)?;
+    refine(&mut scene, &mut share_of(progress, 1, 2))?;
     Ok(scene)
 }
 
@@ -125,11 +137,14 @@ mod tests {
     fn rates_follow_the_picture() {
         let at = |height: u32, pixels: f32| {
             let change = |settings: &mut Settings| settings.height = height;
-            scene_around("cube", &cube(), pixels, change).unwrap().meshes[0].mesh.triangles.len()
+            scene_around("cube", &cube(), pixels, change, &mut |_| true).unwrap().meshes[0]
+                .mesh
+                .triangles
+                .len()
         };
         assert_eq!(at(200, 2.0), at(400, 4.0));
         assert!(at(400, 2.0) > 2 * at(200, 2.0));
-        assert!(scene_around("cube", &cube(), 0.0, |_| ()).is_err());
+        assert!(scene_around("cube", &cube(), 0.0, |_| (), &mut |_| true).is_err());
     }
 
     #[test]
@@ -154,24 +169,24 @@ mod tests {
         "#;
         let mut scene = Scene::parse(text, "".as_ref()).unwrap();
         let before = scene.meshes[2].mesh.clone();
-        refine(&mut scene).unwrap();
+        refine(&mut scene, &mut |_| true).unwrap();
         assert!(scene.meshes.iter().all(|m| m.subdivision.is_none()));
         let count = |i: usize| scene.meshes[i].mesh.triangles.len();
         assert!(count(1) > 4 * count(0) && count(0) >= 12, "{} {}", count(1), count(0));
         assert_eq!((&scene.meshes[2].mesh, count(3), count(4)), (&before, 12, 15 * 16 * 2));
         assert!(scene.meshes[4].mesh.positions.contains(&[-1.0, 0.5, 1.0]), "a corner that keeps its place");
         let again = scene.meshes[0].mesh.clone();
-        refine(&mut scene).unwrap();
+        refine(&mut scene, &mut |_| true).unwrap();
         assert_eq!(scene.meshes[0].mesh, again);
         scene.meshes[1].subdivision = Some(Subdivision::default());
-        let error = refine(&mut scene).unwrap_err().to_string();
+        let error = refine(&mut scene, &mut |_| true).unwrap_err().to_string();
         assert!(error.starts_with("near: "), "{error}");
     }
 
     #[test]
     fn levels_cut_faces_alike() {
-        assert_eq!(mesh_at_level(&cube(), 3).unwrap().triangles.len(), 6 * 64 * 2);
-        assert!(mesh_at_level(&cube(), 13).is_err());
-        assert!(mesh_at_level(&PolygonMesh::default(), 1).is_err());
+        assert_eq!(mesh_at_level(&cube(), 3, &mut |_| true).unwrap().triangles.len(), 6 * 64 * 2);
+        assert!(mesh_at_level(&cube(), 13, &mut |_| true).is_err());
+        assert!(mesh_at_level(&PolygonMesh::default(), 1, &mut |_| true).is_err());
     }
 }

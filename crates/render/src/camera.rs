@@ -6,7 +6,7 @@ use umbrage_scene as scene;
 
 /// A camera ready to make rays for an image of a certain size.
 #[derive(Clone, Debug)]
-pub struct Camera {
+pub struct CameraRays {
     position: Vec3,
     /// From the lens to the upper left corner of the plane of focus.
     corner: Vec3,
@@ -18,7 +18,7 @@ pub struct Camera {
     lens: [Vec3; 2],
 }
 
-impl Camera {
+impl CameraRays {
     /// The camera that `description` means for `width` x `height` pixels.
     pub fn new(description: &scene::Camera, width: u32, height: u32) -> Self {
         let position = Vec3::from(description.position);
@@ -83,7 +83,7 @@ mod tests {
 
     #[test]
     fn image_corners_are_where_the_field_of_view_ends() {
-        let camera = Camera::new(&description(), 200, 100);
+        let camera = CameraRays::new(&description(), 200, 100);
         let middle = camera.ray(100.0, 50.0, [0.0; 2]);
         assert!((middle.direction - Vec3::NEG_Z).length() < 1e-6);
         let top_left = camera.ray(0.0, 0.0, [0.0; 2]);
@@ -92,8 +92,8 @@ mod tests {
 
     #[test]
     fn a_lens_keeps_the_plane_of_focus_sharp() {
-        let camera = Camera::new(&scene::Camera { lens_radius: 0.5, ..description() }, 100, 100);
-        let sharp = Camera::new(&description(), 100, 100).ray(30.0, 70.0, [0.0; 2]);
+        let camera = CameraRays::new(&scene::Camera { lens_radius: 0.5, ..description() }, 100, 100);
+        let sharp = CameraRays::new(&description(), 100, 100).ray(30.0, 70.0, [0.0; 2]);
         let target = sharp.at(sharp.origin.z / -sharp.direction.z);
         for lens in [[1.0, 0.0], [0.0, -1.0], [0.6, 0.5]] {
             let ray = camera.ray(30.0, 70.0, lens);

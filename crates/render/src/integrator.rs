@@ -1,10 +1,10 @@
 //! What one pixel shows: direct light with soft shadows, and a sky dimmed by ambient occlusion.
 
-use crate::{camera::Camera, light::Light};
+use crate::{camera::CameraRays, light::LightSampler};
 use umbrage_accel::Counters;
 use umbrage_aomask::{Outputs, Pattern, Receiver};
 use umbrage_geom::{
-    Ray, RayDifferential,
+    Progress, Ray, RayDifferential,
     glam::{Vec2, Vec3},
     offset_origin,
     sampling::{combine, concentric_disc, pixel_seed, sobol_2d, sobol_4d, unit},
@@ -12,10 +12,10 @@ use umbrage_geom::{
 use umbrage_query::{Answers, Engine, LightRay, Occluders, Pilot, QueryError, ShadingPoint};
 
 /// Semi-transparent surfaces that a camera ray may pass before it gives up.
-const MOST_LAYERS: u32 = 1000;
+const MAX_CAMERA_SURFACES: u32 = 1000;
 
 /// Keeps the seeds of sky rays apart from those of lights.
-const SKY: u32 = 1;
+const SKY_SALT: u32 = 1;
 
 /// Distance reported where nothing is seen: what Blender and Nuke users expect of a depth layer.
 pub const NO_DEPTH: f32 = 1e10;
@@ -41,7 +41,7 @@ impl std::ops::AddAssign for RayCounts {
 
 /// The sky as the integrator needs it.
 #[derive(Clone)]
-pub(crate) struct Sky {
+pub(crate) struct SkySampling {
     pub radiance: Vec3,
     /// World units; may be infinite.
     pub radius: f32,
@@ -52,10 +52,10 @@ pub(crate) struct Sky {
 /// Everything a pixel depends on.
 #[derive(Clone)]
 pub(crate) struct Integrator<'a> {
-    pub camera: Camera,
+    pub camera: CameraRays,
     pub occluders: &'a Occluders,
-    pub lights: Vec<Light>,
-    pub sky: Option<Sky>,
+    pub lights: Vec<LightSampler>,
+    pub sky: Option<SkySampling>,
     pub background: Vec3,
     /// Answers rays to lights, if there are any.
     pub shadows: Option<&'a dyn Engine>,
@@ -146,8 +146,8 @@ impl<'e> Integrator<'e> {
     }
 
     /// Asks the ambient method about all receivers of `pixels`, if it answers receivers; [`Self::pixel`] is then called with
-    /// the same pixels in the same order.
-    pub fn open_pixels(&self, pixels: &[(u32, u32)], scratch: &mut Scratch) {
+    /// the same pixels in the same order. `progress` is asked whether to go on.
+    pub fn open_pixels(&self, pixels: &[(u32, u32)], scratch: &mut Scratch, progress: &Progress<'_>) {
         scratch.open.clear();
         let Some(ambient) = self.ambient.filter(|ambient| ambient.answers() == Answers::Receivers) else {
             return;
@@ -163,7 +163,9 @@ impl<'e> Integrator<'e> {
             }
         }
         let mut open = vec![1.0; receivers.len()];
-        if let Err(error) = ambient.sky(&receivers, Outputs::new(&mut open), &mut |_| true) {
+        if let Err(error) =
+            ambient.sky(&receivers, Outputs::new(&mut open), &mut |_| progress.check().is_ok())
+        {
             scratch.failed = Some(error);
         }
         scratch.open.resize(pixels.len() * self.spp as usize, 1.0);
@@ -234,7 +236,7 @@ impl<'e> Integrator<'e> {
         sample: u32,
         seed: u32,
     ) -> Option<Receiver> {
-        let seed = combine(self.salted(seed), SKY);
+        let seed = combine(self.salted(seed), SKY_SALT);
         let receiver = Receiver::new(index, origin.to_array(), normal.to_array(), seed).ok()?;
         Some(receiver.with_sample(sample))
     }
@@ -271,7 +273,7 @@ impl<'e> Integrator<'e> {
         scratch: &mut Scratch,
     ) -> Option<ShadingPoint> {
         let mut rest = *ray;
-        for layer in 0..MOST_LAYERS {
+        for layer in 0..MAX_CAMERA_SURFACES {
             scratch.counts.camera += 1;
             let surface = if self.count_cost {
                 self.occluders.closest_hit(&rest, differential, &mut scratch.counters)?
@@ -310,7 +312,7 @@ impl<'e> Integrator<'e> {
     #[allow(clippy::too_many_arguments)] // all of them vary from call to call
     fn direct(
         &self,
-        light: &Light,
+        light: &LightSampler,
         number: u32,
         origin: Vec3,
         surface: &ShadingPoint,
@@ -350,7 +352,7 @@ impl<'e> Integrator<'e> {
     /// Mean transmittance towards the sky: `ao`, 1 is open.
     fn openness(
         &self,
-        sky: &Sky,
+        sky: &SkySampling,
         origin: Vec3,
         surface: &ShadingPoint,
         sample: u32,

@@ -9,7 +9,7 @@ use umbrage_scene as scene;
 
 /// A light ready to be sampled.
 #[derive(Clone, Debug)]
-pub struct Light {
+pub struct LightSampler {
     kind: Kind,
     /// Radiance, intensity or irradiance, as the kind says; linear RGB.
     strength: Vec3,
@@ -63,7 +63,7 @@ pub struct Incoming {
     pub solid_angle: f32,
 }
 
-impl Light {
+impl LightSampler {
     /// The light that `description` means.
     pub fn new(description: &scene::Light) -> Self {
         let unit = |v: [f32; 3]| Vec3::from(v).as_dvec3().normalize_or_zero().as_vec3();
@@ -208,7 +208,7 @@ mod tests {
 
     fn irradiance(light: &scene::Light, receiver: Vec3, normal: Vec3) -> f32 {
         let squares: Vec<Vec2> = (0..4096).map(|i| sobol_2d(i, 0, 1)).collect();
-        let light = Light::new(light);
+        let light = LightSampler::new(light);
         let mut sum = 0.0;
         light.sample(receiver, &squares[..light.samples(4096) as usize], &mut |_, s: Incoming| {
             sum += s.irradiance.x * s.direction.dot(normal).max(0.0);

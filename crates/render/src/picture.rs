@@ -2,9 +2,9 @@
 
 use crate::{
     RenderError,
-    camera::Camera,
-    integrator::{Integrator, Pixel, RayCounts, Scratch, Sky},
-    light::Light,
+    camera::CameraRays,
+    integrator::{Integrator, Pixel, RayCounts, Scratch, SkySampling},
+    light::LightSampler,
     raster_sky,
     target::{self, Samples},
 };
@@ -16,8 +16,8 @@ use umbrage_geom::{Progress, glam::Vec3};
 use umbrage_image::{Film, GREY, RGB, Shard, Tile, TileGrid, XYZ, Z, names};
 use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 use umbrage_query::{
-    AoMethod, Engine, Exactness, Occluders, QueryError, SceneKind, Selection, ShadowMethod, Sky as SkyQuery,
-    SurfaceMode, plan,
+    AoMethod, Engine, Exactness, Occluders, QueryError, SceneKind, Selection, ShadowMethod, Sky, SurfaceMode,
+    plan,
 };
 use umbrage_scene::{Scene, Settings};
 
@@ -156,7 +156,7 @@ pub fn render(
     check_settings(&settings)?;
     let grid = TileGrid::new(settings.width, settings.height, TILE)?;
     let tiles: Vec<u32> = options.shard.tiles(&grid).map_err(umbrage_image::ImageError::from)?.collect();
-    let lights: Vec<Light> = scene.lights.iter().map(Light::new).collect();
+    let lights: Vec<LightSampler> = scene.lights.iter().map(LightSampler::new).collect();
     let samples = match options.target_error {
         Some(target) => {
             let samples = choose_samples(scene, &lights, occluders, target, &mut |_| report(0.0))?;
@@ -197,7 +197,7 @@ pub fn render(
         let mut scratch = integrator.scratch();
         let places: Vec<(u32, u32)> =
             (tile.y..tile.y_end).flat_map(|y| (tile.x..tile.x_end).map(move |x| (x, y))).collect();
-        integrator.open_pixels(&places, &mut scratch);
+        integrator.open_pixels(&places, &mut scratch, &progress);
         let pixels: Vec<Pixel> =
             places.into_iter().map(|(x, y)| integrator.pixel(x, y, &mut scratch)).collect();
         if let Some(error) = scratch.failed.take() {
@@ -223,12 +223,12 @@ pub fn render(
 fn integrator<'a>(
     scene: &Scene,
     settings: &Settings,
-    (lights, occluders): (Vec<Light>, &'a Occluders),
-    sky: Option<&SkyQuery>,
+    (lights, occluders): (Vec<LightSampler>, &'a Occluders),
+    sky: Option<&Sky>,
     [shadows, ambient]: [Option<&'a dyn Engine>; 2],
 ) -> Result<Integrator<'a>, RenderError> {
     let sky = match scene.ambient.as_ref().zip(sky) {
-        Some((ambient, sky)) => Some(Sky {
+        Some((ambient, sky)) => Some(SkySampling {
             radiance: ambient.radiance.into(),
             radius: sky.radius,
             pattern: Pattern::new(&sky.pattern).map_err(QueryError::from)?,
@@ -236,7 +236,7 @@ fn integrator<'a>(
         None => None,
     };
     Ok(Integrator {
-        camera: Camera::new(&scene.camera, settings.width, settings.height),
+        camera: CameraRays::new(&scene.camera, settings.width, settings.height),
         occluders,
         lights,
         sky,
@@ -257,7 +257,7 @@ fn integrator<'a>(
 /// Finds the numbers of samples for a target error.
 fn choose_samples(
     scene: &Scene,
-    lights: &[Light],
+    lights: &[LightSampler],
     occluders: &Occluders,
     target: f32,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
@@ -274,9 +274,6 @@ fn choose_samples(
     }
     let pilots = target::pilots(scene.settings.width, scene.settings.height);
     let mut measure = |settings: &Settings, layer: usize| {
-        if !progress(0.0) {
-            return Err(RenderError::Cancelled);
-        }
         // Only one of the layers costs rays.
         let lights = if layer == 0 { lights.to_vec() } else { Vec::new() };
         let shadows = choose_shadows(settings, &lights, occluders, progress)?;
@@ -287,7 +284,9 @@ fn choose_samples(
         };
         let engines = [&shadows, &ambient].map(|choice| choice.as_ref().map(|choice| &*choice.engine));
         let base = integrator(scene, settings, (lights, occluders), sky.as_ref(), engines)?;
-        Ok(target::squared_errors(|salt| Integrator { salt, ..base.clone() }, &pilots)?[layer])
+        Ok(target::squared_errors(|salt| Integrator { salt, ..base.clone() }, &pilots, &mut |_| {
+            progress(0.0)
+        })?[layer])
     };
     let with = |shadow_samples, ao_samples| Settings { shadow_samples, ao_samples, ..scene.settings.clone() };
     let (shadow, shadow_error) = match lights.is_empty() {
@@ -304,7 +303,7 @@ fn choose_samples(
 /// The shadow method of a scene, if it has lights.
 fn choose_shadows<'a>(
     settings: &Settings,
-    lights: &[Light],
+    lights: &[LightSampler],
     occluders: &'a Occluders,
     progress: &mut (dyn FnMut(f32) -> bool + Send),
 ) -> Result<Option<plan::Choice<'a>>, RenderError> {
@@ -321,14 +320,14 @@ fn choose_shadows<'a>(
 }
 
 /// What the ambient rays of a scene have in common, if it has an ambient light.
-fn sky_query(scene: &Scene, settings: &Settings, occluders: &Occluders) -> Option<SkyQuery> {
+fn sky_query(scene: &Scene, settings: &Settings, occluders: &Occluders) -> Option<Sky> {
     let ambient = scene.ambient.as_ref()?;
     let pattern = PatternOptions::default()
         .with_rays(settings.ao_samples)
         .with_falloff(ambient.falloff.clone())
         .with_seed(settings.seed);
     let view = SceneKind::of_scene(scene).view;
-    Some(SkyQuery::new(pattern, ambient.radius.resolve(occluders.diagonal())).with_view(view))
+    Some(Sky::new(pattern, ambient.radius.resolve(occluders.diagonal())).with_view(view))
 }
 
 struct Target {

@@ -10,7 +10,7 @@ use umbrage_geom::{glam::Vec3, sampling::combine};
 use umbrage_query::{Answers, Engine, QueryError, engine::Report};
 
 /// Camera samples may lie anywhere in their pixel.
-const FOOTPRINT: f32 = 0.71;
+const PIXEL_RADIUS: f32 = 0.71;
 
 /// Openness of the sky, 1 is open, for each camera sample and pixel of the image, row by row; nothing for engines that don't
 /// answer images. `progress` is asked whether to go on.
@@ -40,7 +40,7 @@ pub(crate) fn openness(
                     receiver.map_or(([f32::NAN; 3], [0.0; 3]), |(p, n): (Vec3, Vec3)| (p.into(), n.into()))
                 })
                 .unzip();
-            let view = RasterView::new(camera, width, height, &points, &normals).with_footprint(FOOTPRINT);
+            let view = RasterView::new(camera, width, height, &points, &normals).with_footprint(PIXEL_RADIUS);
             let mut open = vec![1.0; points.len()];
             let seed = combine(integrator.seed, sample);
             engine.image(&view, seed, Outputs::new(&mut open), &mut |_| progress(0.0))?;

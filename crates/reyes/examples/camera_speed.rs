@@ -8,7 +8,7 @@ use umbrage_reyes::{
     EyeRates, RatedSurface, Surface, SurfaceOptions, SurfaceTracer, TraceOptions, TraceState,
     camera_differential, light_differential,
 };
-use umbrage_scene::mesh_file::read_polygons;
+use umbrage_scene::read_polygons;
 
 struct Camera {
     eye: Vec3,
@@ -86,7 +86,10 @@ fn by_ray(camera: &Camera, surface: Arc<Surface>, diagonal: f32) -> Result<(), B
 
 fn once(camera: &Camera, surface: Arc<Surface>) -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
-    let rated = RatedSurface::for_eye(surface, &EyeRates::new(camera.eye, 2.0 * camera.right.length()))?;
+    let rated =
+        RatedSurface::for_eye(surface, &EyeRates::new(camera.eye, 2.0 * camera.right.length()), &mut |_| {
+            true
+        })?;
     println!("once: {:.3} s to make", start.elapsed().as_secs_f64());
     for _ in 0..3 {
         let start = Instant::now();

@@ -1,7 +1,7 @@
 //! Why a surface could not be built or traced.
 
 use umbrage_accel::BuildError;
-use umbrage_geom::MeshError;
+use umbrage_geom::{Cancelled, MeshError};
 
 /// What is wrong with a control mesh or with options. Nothing is built then.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -119,4 +119,10 @@ pub enum SurfaceError {
     /// The hierarchy over patches could not be built.
     #[error(transparent)]
     Build(#[from] BuildError),
+}
+
+impl From<Cancelled> for SurfaceError {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
 }

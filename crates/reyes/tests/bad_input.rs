@@ -120,7 +120,7 @@ fn check_rays(name: &str, surface: Surface) {
         }
         assert!(tracer.peak_grid_bytes() <= 20_000);
     }
-    let rated = RatedSurface::new(surface, |patch| [(patch % 3) as u8, 2]).unwrap();
+    let rated = RatedSurface::build(surface, |patch| [(patch % 3) as u8, 2], &mut |_| true).unwrap();
     for ray in &rays {
         assert_eq!(rated.any_hit(ray), rated.closest_hit(ray).is_some(), "{name}");
     }

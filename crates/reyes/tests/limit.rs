@@ -8,7 +8,7 @@ use umbrage_geom::{
     glam::{DMat3, DVec3, Vec3},
 };
 use umbrage_reyes::{BoundaryRule, CreaseMethod, SubdivisionMesh, Surface, SurfaceOptions};
-use umbrage_scene::mesh_file::read_polygons;
+use umbrage_scene::read_polygons;
 
 fn build(mesh: &PolygonMesh) -> Surface {
     Surface::build(mesh, &SurfaceOptions::default()).unwrap()

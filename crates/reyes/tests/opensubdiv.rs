@@ -7,7 +7,7 @@ use serde_json::Value;
 use std::{collections::HashMap, path::Path};
 use umbrage_geom::{Aabb, PolygonMesh, glam::DVec3};
 use umbrage_reyes::{BoundaryRule, CreaseMethod, SubdivisionMesh};
-use umbrage_scene::mesh_file::read_polygons;
+use umbrage_scene::read_polygons;
 
 /// Vertices and centroids of faces of an OBJ, in doubles.
 fn read_level(path: &Path) -> (Vec<DVec3>, Vec<DVec3>) {

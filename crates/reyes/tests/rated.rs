@@ -18,9 +18,11 @@ fn surface(mesh: &PolygonMesh) -> Arc<Surface> {
 
 /// Levels without any order.
 fn wild(mesh: &PolygonMesh, most: u32) -> RatedSurface {
-    RatedSurface::new(surface(mesh), |patch| {
-        [hash(patch), hash(patch + 1000)].map(|x| (x % (most + 1)) as u8)
-    })
+    RatedSurface::build(
+        surface(mesh),
+        |patch| [hash(patch), hash(patch + 1000)].map(|x| (x % (most + 1)) as u8),
+        &mut |_| true,
+    )
     .unwrap()
 }
 
@@ -122,11 +124,16 @@ fn back_ends_give_the_same_mesh() {
         let meshes = [BackEnd::Scalar, BackEnd::Avx2, BackEnd::Avx512].map(|back_end| {
             let options = SurfaceOptions::default().with_back_end(back_end).with_tree_bytes(0);
             let surface = Arc::new(Surface::build(&mesh, &options).unwrap());
-            RatedSurface::new(surface, |patch| [(patch % 6) as u8, (patch % 5) as u8]).unwrap().to_mesh()
+            RatedSurface::build(surface, |patch| [(patch % 6) as u8, (patch % 5) as u8], &mut |_| true)
+                .unwrap()
+                .to_mesh()
         });
         assert_eq!(meshes[0], meshes[1], "{name}");
         assert_eq!(meshes[0], meshes[2], "{name}");
-        let kept = RatedSurface::new(surface(&mesh), |patch| [(patch % 6) as u8, (patch % 5) as u8]);
+        let kept =
+            RatedSurface::build(surface(&mesh), |patch| [(patch % 6) as u8, (patch % 5) as u8], &mut |_| {
+                true
+            });
         assert_eq!(kept.unwrap().to_mesh(), meshes[0], "{name}");
     }
 }
@@ -135,7 +142,7 @@ fn back_ends_give_the_same_mesh() {
 fn an_eye_sees_even_micropolygons() {
     // A flat sheet of unit squares, seen from above its middle.
     let rates = EyeRates::new(Vec3::new(4.0, 4.0, 10.0), 0.01).with_bend(0.0);
-    let rated = RatedSurface::for_eye(surface(&sheet(8, |_, _| 0.0)), &rates).unwrap();
+    let rated = RatedSurface::for_eye(surface(&sheet(8, |_, _| 0.0)), &rates, &mut |_| true).unwrap();
     let mesh = rated.to_mesh();
     for [a, b, _] in &mesh.triangles {
         let [a, b] = [a, b].map(|&v| Vec3::from(mesh.positions[v as usize]));
@@ -146,7 +153,7 @@ fn an_eye_sees_even_micropolygons() {
     let levels = |z: f32| {
         let surface = surface(&sheet(3, |_, _| 0.0));
         let rates = EyeRates::new(Vec3::new(1.5, 1.5, z), 0.05).with_max_level(7);
-        RatedSurface::for_eye(surface, &rates).unwrap().levels(4)
+        RatedSurface::for_eye(surface, &rates, &mut |_| true).unwrap().levels(4)
     };
     assert_eq!(levels(0.0), [7, 7]);
     let all: Vec<u8> = [0.1, 0.5, 2.0, 8.0, 100.0].map(|z| levels(z)[0]).to_vec();
@@ -159,7 +166,7 @@ fn bent_patches_are_finer_than_flat_ones() {
     let control = sheet(8, |i, _| if i == 4 { 0.8 } else { 0.0 });
     let rated = |bend: f32| {
         let rates = EyeRates::new(Vec3::new(4.0, 4.0, 40.0), 0.002).with_bend(bend);
-        RatedSurface::for_eye(surface(&control), &rates).unwrap()
+        RatedSurface::for_eye(surface(&control), &rates, &mut |_| true).unwrap()
     };
     let (even, bent) = (rated(0.0), rated(0.002));
     // Levels by how far patches are from flat: two levels is four times as long, or as short.
@@ -188,7 +195,7 @@ fn bent_patches_are_finer_than_flat_ones() {
 fn meshes_carry_normals_and_texture() {
     let mut control = sheet(3, |i, j| unit(i * 7 + j));
     control.corner_uvs = control.corners.iter().map(|&v| [(v % 4) as f32, (v / 4) as f32]).collect();
-    let mesh = RatedSurface::new(surface(&control), |_| [3, 2]).unwrap().to_mesh();
+    let mesh = RatedSurface::build(surface(&control), |_| [3, 2], &mut |_| true).unwrap().to_mesh();
     assert_eq!(mesh.corner_uvs.len(), mesh.triangles.len());
     assert!(mesh.validate().is_ok());
     assert!(mesh.corner_uvs.as_flattened().as_flattened().iter().all(|&x| (-1e-6..=3.000_001).contains(&x)));
@@ -202,21 +209,26 @@ fn meshes_carry_objects_and_rates_of_all_places() {
     let mut control = prism(5);
     let runs = [("bottom", 0..1), ("none", 1..1), ("top", 1..2), ("side", 2..7)];
     control.objects = runs.map(|(name, faces)| FaceObject { name: name.into(), faces }).to_vec();
-    let mesh = RatedSurface::new(surface(&control), |_| [2, 2]).unwrap().to_mesh();
+    let mesh = RatedSurface::build(surface(&control), |_| [2, 2], &mut |_| true).unwrap().to_mesh();
     mesh.validate().unwrap();
     let objects: Vec<_> = mesh.objects.iter().map(|o| (&o.name[..], o.triangles.len())).collect();
     // Parts of the pentagons lose two cells' halves at each outer edge, which is as coarse as the side's.
     assert_eq!(objects, [("bottom", 5 * 28), ("none", 0), ("top", 5 * 28), ("side", 5 * 32)]);
     control.positions.fill([1.0; 3]);
-    let none = RatedSurface::new(surface(&control), |_| [1, 1]).unwrap().to_mesh();
+    let none = RatedSurface::build(surface(&control), |_| [1, 1], &mut |_| true).unwrap().to_mesh();
     assert_eq!((none.triangles.len(), none.objects.len()), (0, 4));
 
     let place = |x: f32, scale: f32| {
         Affine3A::from_scale_rotation_translation(Vec3::splat(scale), Quat::IDENTITY, Vec3::X * x)
     };
     let levels = |places: &[Affine3A]| {
-        let rated =
-            RatedSurface::for_eye_on(surface(&cube()), places, &EyeRates::new(Vec3::X * 10.0, 0.02)).unwrap();
+        let rated = RatedSurface::for_eye_on(
+            surface(&cube()),
+            places,
+            &EyeRates::new(Vec3::X * 10.0, 0.02),
+            &mut |_| true,
+        )
+        .unwrap();
         (0..6).map(|patch| rated.levels(patch)).collect::<Vec<_>>()
     };
     let (near, far, large) = (levels(&[place(7.0, 1.0)]), levels(&[place(-90.0, 1.0)]), place(-90.0, 10.0));
@@ -233,17 +245,20 @@ fn bad_rates_are_named() {
         Some(SurfaceError::Option { name, .. }) => assert_eq!(name, expected),
         other => panic!("{expected}: {other:?}"),
     };
-    error(RatedSurface::new(surface(&cube()), |_| [13, 0]), "level");
+    error(RatedSurface::build(surface(&cube()), |_| [13, 0], &mut |_| true), "level");
     for width in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-        error(RatedSurface::for_eye(surface(&cube()), &EyeRates::new(Vec3::ZERO, width)), "width");
+        error(
+            RatedSurface::for_eye(surface(&cube()), &EyeRates::new(Vec3::ZERO, width), &mut |_| true),
+            "width",
+        );
     }
-    error(RatedSurface::for_eye(surface(&cube()), &EyeRates::new(Vec3::NAN, 1.0)), "width");
+    error(RatedSurface::for_eye(surface(&cube()), &EyeRates::new(Vec3::NAN, 1.0), &mut |_| true), "width");
     let rates = EyeRates::new(Vec3::ZERO, 1.0);
-    error(RatedSurface::for_eye(surface(&cube()), &rates.with_max_level(13)), "max_level");
+    error(RatedSurface::for_eye(surface(&cube()), &rates.with_max_level(13), &mut |_| true), "max_level");
     for bend in [-1.0, f32::NAN, f32::INFINITY] {
-        error(RatedSurface::for_eye(surface(&cube()), &rates.with_bend(bend)), "bend");
+        error(RatedSurface::for_eye(surface(&cube()), &rates.with_bend(bend), &mut |_| true), "bend");
     }
-    let rated = RatedSurface::new(surface(&cube()), |_| [2, 2]).unwrap();
+    let rated = RatedSurface::build(surface(&cube()), |_| [2, 2], &mut |_| true).unwrap();
     for bad in [Ray::new([f32::NAN; 3], [0.0, 0.0, 1.0]), Ray::new([0.0; 3], [0.0; 3])] {
         assert!(!rated.any_hit(&bad) && rated.closest_hit(&bad).is_none());
     }

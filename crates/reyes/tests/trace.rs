@@ -9,7 +9,7 @@ use umbrage_accel::{BuildOptions, Bvh};
 use umbrage_geom::{PolygonMesh, Ray, RayDifferential, glam::Vec3};
 use umbrage_reyes::{
     Borders, FootprintRule, Rates, Surface, SurfaceError, SurfaceHit, SurfaceOptions, SurfaceTracer,
-    TraceOptions, TraceState, camera_differential,
+    TraceOptions, TraceState, camera_differential, published,
 };
 
 fn tracer(mesh: &PolygonMesh, options: &TraceOptions) -> SurfaceTracer {
@@ -209,7 +209,11 @@ fn opaque_cells_change_no_answer() {
             let differential = umbrage_reyes::light_differential(spread, spread);
             let expected = plain.any_hit(&ray, &differential, &mut a);
             assert_eq!(quick.any_hit(&ray, &differential, &mut b), expected, "{name}, ray {i}");
-            assert_eq!(plain.any_hit_deferred(&ray, &differential, &mut a), expected, "{name}, ray {i}");
+            assert_eq!(
+                published::any_hit_deferred(&plain, &ray, &differential, &mut a),
+                expected,
+                "{name}, ray {i}"
+            );
         }
         assert_eq!(b.occluder_hits() > 0, closed, "{name}");
         assert!(!closed || quick.counts().dice <= plain.counts().dice);
@@ -332,7 +336,7 @@ proptest! {
         let (_, mesh) = zoo().swap_remove(which);
         let rules = [FootprintRule::Entry, FootprintRule::FinalApproach, FootprintRule::ExactFinalApproach];
         let tracers = rules.map(|rule| {
-            tracer(&mesh, &TraceOptions::published(rule).with_max_level(7))
+            tracer(&mesh, &published::trace_options(rule).with_max_level(7))
         });
         let surface = tracers[0].surface();
         for patch in 0..surface.patch_count() as u32 {

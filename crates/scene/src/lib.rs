@@ -1,18 +1,19 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
-pub mod atomic;
+mod atomic;
+mod byte_size;
 mod flatten;
 pub mod generate;
-pub mod mesh_file;
-pub mod scene;
-pub mod scene_file;
-
+mod mesh_file;
+mod scene;
+mod scene_file;
 mod view;
 
-pub use atomic::{WriteError, check_writable, write_atomically};
+pub use atomic::{AtomicWriter, WriteError, check_writable, write_atomically};
+pub use byte_size::{ByteSize, ByteSizeError};
 pub use mesh_file::{
-    MeshFileError, PlyVertices, Points, VertexAttributes, WriteMeshError, read_mesh, read_ply_vertices,
+    MeshFileError, PlyVertices, PointCloud, VertexAttributes, WriteMeshError, read_mesh, read_ply_vertices,
     read_points, read_polygons, write_obj, write_ply, write_ply_points,
 };
 pub use scene::{

@@ -1,5 +1,6 @@
 //! What a scene is, once read: plain data that the renderer turns into acceleration structures.
 
+use crate::ByteSize;
 use umbrage_geom::{Falloff, PolygonMesh, TriangleMesh, glam::Affine3A};
 
 /// A scene: geometry, lights, a camera and settings.
@@ -240,17 +241,12 @@ pub struct Settings {
     pub ao: String,
     /// How subdivision surfaces are traced: `mesh`, `once` or `footprint`.
     pub surfaces: String,
-    /// MiB of grids that surfaces traced by footprint keep, 1 to [`Settings::MAX_GRID_CACHE`]; others are made again.
-    pub grid_cache: u32,
+    /// Bytes of grids that are kept for each control mesh where surfaces are traced by `footprint`. Pictures don't depend on it.
+    pub grid_cache: ByteSize,
     /// Seed of all random choices.
     pub seed: u32,
     /// Stops of brightness added before the image is written as PNG.
     pub exposure: f32,
-}
-
-impl Settings {
-    /// Largest [`Self::grid_cache`], MiB.
-    pub const MAX_GRID_CACHE: u32 = 1 << 20;
 }
 
 impl Default for Settings {
@@ -264,7 +260,7 @@ impl Default for Settings {
             shadows: "auto".into(),
             ao: "auto".into(),
             surfaces: "mesh".into(),
-            grid_cache: 256,
+            grid_cache: ByteSize::mebibytes(256),
             seed: 0,
             exposure: 0.0,
         }

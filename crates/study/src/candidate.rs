@@ -17,7 +17,7 @@ use umbrage_query::{
     Answers, AoMethod, Engine, Exactness, LightRay, QueryError, ShadowMethod, Sky, Structure, SurfaceMode,
     engine::{self, Report, ShadowOptions},
 };
-use umbrage_render::Light;
+use umbrage_render::LightSampler;
 
 /// Rays into the sky.
 const SKY_RAYS: [u32; 7] = [16, 32, 64, 128, 256, 512, 1024];
@@ -128,7 +128,7 @@ pub(crate) struct Running<'a> {
 /// What is asked of the engine.
 enum Work {
     Sky { pattern: Pattern, radius: f32 },
-    Light(LightSampler),
+    Light(LightQuestion),
 }
 
 impl<'a> Running<'a> {
@@ -159,7 +159,7 @@ impl<'a> Running<'a> {
                 let options = ShadowOptions::default().with_threshold(candidate.threshold);
                 let engine = engine::shadows_with(method, occluders, &options, progress)?;
                 engine.prepare_all();
-                (engine, Work::Light(LightSampler::new(subject, index)))
+                (engine, Work::Light(LightQuestion::new(subject, index)))
             }
             _ => {
                 let reason = "the question is of another kind";
@@ -259,14 +259,14 @@ fn pilot(asked: &Asked) -> umbrage_query::Pilot {
 }
 
 /// Rays to one light, as the renderer samples it.
-pub(crate) struct LightSampler {
+pub(crate) struct LightQuestion {
     index: usize,
-    light: Light,
+    light: LightSampler,
 }
 
-impl LightSampler {
+impl LightQuestion {
     pub(crate) fn new(subject: &Subject, index: usize) -> Self {
-        let light = Light::new(&subject.scene().lights[index]);
+        let light = LightSampler::new(&subject.scene().lights[index]);
         Self { index, light }
     }
 

@@ -2,7 +2,7 @@
 
 use super::{Answers, Missing, StudyError, Subject, curve, measure::BUDGET_ENDED};
 use std::time::{Duration, Instant};
-use umbrage_image::{ColorMap, Film, ValueRange, color, encode_png, names};
+use umbrage_image::{ColorMap, Film, ValueRange, encode_png, linear_to_srgb8, names};
 use umbrage_query::{AoMethod, Occluders, QueryError, ShadowMethod};
 use umbrage_render::{RenderError, RenderOptions, render};
 use umbrage_scene::{Ambient, Scene};
@@ -171,7 +171,7 @@ fn film(
 }
 
 fn grey(values: &[f32], [width, height]: [u32; 2]) -> Result<Vec<u8>, StudyError> {
-    let pixels: Vec<[u8; 3]> = values.iter().map(|&v| [color::linear_to_srgb8(v); 3]).collect();
+    let pixels: Vec<[u8; 3]> = values.iter().map(|&v| [linear_to_srgb8(v); 3]).collect();
     Ok(encode_png(width, height, &pixels)?)
 }
 

@@ -84,7 +84,7 @@ impl Question {
         if let Self::Light { index } = self {
             // Light that arrives nowhere is not asked about.
             let (_, lit) = round(subject, &self, &receivers, 32, seed.into());
-            let ours = super::candidate::LightSampler::new(subject, index);
+            let ours = super::candidate::LightQuestion::new(subject, index);
             let mut lit = lit.into_iter();
             receivers.retain(|receiver| lit.next() == Some(true) && ours.reaches(receiver));
         }

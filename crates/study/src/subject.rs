@@ -8,7 +8,7 @@ use umbrage_geom::{
     sampling::{combine, sobol_4d, unit},
 };
 use umbrage_query::{Occluders, QueryError, engine::Report, subdivide};
-use umbrage_render::Camera;
+use umbrage_render::CameraRays;
 use umbrage_scene::{Ground, Scene};
 
 /// A scene or a mesh that is studied, with its wide BVH.
@@ -45,7 +45,7 @@ impl Subject {
         let control = has_surfaces.then(|| scene.clone());
         let mut scene = scene;
         scene.settings.surfaces = umbrage_query::SurfaceMode::Mesh.name().into();
-        subdivide::refine_all(&mut scene)?;
+        subdivide::refine_all(&mut scene, &mut |_| progress(0.0))?;
         let occluders = Occluders::of_scene(&scene, progress)?;
         if occluders.triangle_count() == 0 {
             return Err(QueryError::NoOccluder.into());
@@ -96,7 +96,7 @@ impl Subject {
     fn seen(&self, count: usize, seed: u32) -> Result<Vec<Receiver>, StudyError> {
         let settings = &self.scene.settings;
         let (width, height) = (settings.width, settings.height);
-        let camera = Camera::new(&self.scene.camera, width, height);
+        let camera = CameraRays::new(&self.scene.camera, width, height);
         let mut places: Vec<[f32; 2]> = (0..4 * count as u32)
             .map(|i| {
                 let [x, y, ..] = sobol_4d(i, 7, seed);

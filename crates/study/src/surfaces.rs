@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use std::time::{Duration, Instant};
 use umbrage_geom::{Ray, RayDifferential, sampling::sobol_2d};
 use umbrage_query::{Occluders, QueryError, SurfaceMode, subdivide};
-use umbrage_render::Camera;
+use umbrage_render::CameraRays;
 use umbrage_scene::{Scene, SubdivisionRate};
 
 /// Lengths of edges, pixels.
@@ -102,7 +102,7 @@ pub(crate) fn answer(
 
 fn camera_rays(scene: &Scene) -> Rays {
     let (width, height) = (scene.settings.width, scene.settings.height);
-    let camera = Camera::new(&scene.camera, width, height);
+    let camera = CameraRays::new(&scene.camera, width, height);
     let at = |i: u32| {
         let square = sobol_2d(i, 0, 0x7375_7266);
         let (x, y) = (square.x * width as f32, square.y * height as f32);
@@ -126,7 +126,7 @@ fn built(
         }
     }
     let start = Instant::now();
-    subdivide::refine(&mut scene)?;
+    subdivide::refine(&mut scene, &mut |_| go_on())?;
     let occluders = Occluders::of_scene(&scene, &mut |_| go_on())?;
     Ok((occluders, start.elapsed().as_secs_f64()))
 }

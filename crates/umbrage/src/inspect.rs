@@ -21,11 +21,11 @@ use umbrage_geom::{
 use umbrage_scene::{Light, Scene};
 
 /// Most examples that a report lists.
-const EXAMPLES: usize = 8;
+const MAX_EXAMPLES: usize = 8;
 
 /// An axis-parallel box; all zero if there is nothing inside.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Bounds {
+pub struct BoundsReport {
     /// Smallest coordinates.
     pub min: [f32; 3],
     /// Largest coordinates.
@@ -34,7 +34,7 @@ pub struct Bounds {
     pub diagonal: f64,
 }
 
-impl From<Aabb> for Bounds {
+impl From<Aabb> for BoundsReport {
     fn from(aabb: Aabb) -> Self {
         if aabb.is_empty() {
             return Self::default();
@@ -135,7 +135,7 @@ pub struct ObjectReport {
     /// Fraction of light that one crossing blocks.
     pub opacity: f32,
     /// Where it is.
-    pub bounds: Bounds,
+    pub bounds: BoundsReport,
     /// Triangles without area.
     pub degenerate_triangles: u64,
     /// How its triangles meet; those of other objects don't count.
@@ -154,7 +154,7 @@ pub struct MeshReport {
     /// Triangles.
     pub triangles: u64,
     /// Bounds of the used vertices.
-    pub bounds: Bounds,
+    pub bounds: BoundsReport,
     /// Bytes of the mesh in memory.
     pub bytes: u64,
     /// Whether corners have normals.
@@ -205,7 +205,7 @@ pub struct InstanceReport {
     /// How many triangles it has.
     pub triangles: u64,
     /// Box around the mesh's transformed bounds, world units; not the tightest if the mesh is rotated.
-    pub bounds: Bounds,
+    pub bounds: BoundsReport,
     /// Whether the transform turns the mesh inside out like a mirror.
     pub mirrored: bool,
     /// Names of the materials of the mesh's objects.
@@ -229,7 +229,7 @@ pub struct LightReport {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneReport {
     /// Around all instances, as [`InstanceReport::bounds`], world units.
-    pub bounds: Bounds,
+    pub bounds: BoundsReport,
     /// Triangles stored: each mesh once.
     pub triangles: u64,
     /// Triangles seen: each instance.
@@ -297,7 +297,7 @@ pub fn inspect_mesh(mesh: &TriangleMesh) -> MeshReport {
         normals: !mesh.corner_normals.is_empty(),
         uvs: !mesh.corner_uvs.is_empty(),
         degenerate_triangles: degenerate.len() as u64,
-        degenerate_examples: degenerate.iter().copied().take(EXAMPLES).collect(),
+        degenerate_examples: degenerate.iter().copied().take(MAX_EXAMPLES).collect(),
         duplicate_triangles,
         duplicate_examples,
         unused_vertices: count(&mut used.iter().map(|u| !u)),
@@ -386,7 +386,7 @@ fn duplicate_triangles(mesh: &TriangleMesh, welded: &[u32]) -> (u64, Vec<[u32; 2
     }
     let count = repeating.len() as u64;
     repeating.sort_unstable_by_key(|pair| pair[1]);
-    repeating.truncate(EXAMPLES);
+    repeating.truncate(MAX_EXAMPLES);
     (count, repeating)
 }
 
@@ -431,7 +431,7 @@ mod tests {
         assert_eq!((report.duplicate_vertices, report.unused_vertices), (0, 0));
         assert_eq!(report.shortest_edge, Some(1.0));
         assert_eq!(report.longest_edge, Some(2f64.sqrt()));
-        assert_eq!(report.bounds, Bounds { min: [0.0; 3], max: [1.0; 3], diagonal: 3f64.sqrt() });
+        assert_eq!(report.bounds, BoundsReport { min: [0.0; 3], max: [1.0; 3], diagonal: 3f64.sqrt() });
 
         let cube = cube();
         let mut soup: Vec<[f32; 3]> = (0..12).flat_map(|t| cube.triangle(t)).collect();
@@ -505,7 +505,7 @@ mod tests {
         let objects = inspect_mesh(&mesh).objects;
         assert_eq!(objects.iter().map(|o| o.closed).collect::<Vec<_>>(), [true, false, false]);
         assert_eq!(objects.iter().map(|o| o.degenerate_triangles).collect::<Vec<_>>(), [0, 1, 0]);
-        assert_eq!(objects[2].bounds, Bounds::default());
+        assert_eq!(objects[2].bounds, BoundsReport::default());
         let solid = |o: &ObjectReport| (o.solid.well_behaved, o.solid.encloses, o.solid.components);
         assert_eq!(
             objects.iter().map(solid).collect::<Vec<_>>(),

@@ -1,7 +1,7 @@
 //! The program as a user runs it: pictures, bakes, parts, and one line for each mistake.
 
 use std::{fs, path::Path};
-use umbrage::scene::mesh_file::read_ply_vertices;
+use umbrage::scene::read_ply_vertices;
 use umbrage_testkit::Folder;
 
 const SCENE: &str = r#"

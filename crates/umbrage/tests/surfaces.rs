@@ -74,7 +74,7 @@ fn a_small_cache_makes_grids_again_and_changes_no_bit() {
     let fine = SCENE.replace("SURFACES", "footprint").replace("pixels = 1", "pixels = 0.1");
     folder.write("fine.toml", fine);
     folder.ok("render fine.toml -o large.exr --ao rays --stats large.json");
-    folder.ok("render fine.toml -o small.exr --ao rays --stats small.json --grid-cache 1");
+    folder.ok("render fine.toml -o small.exr --ao rays --stats small.json --grid-cache 1MiB");
     assert_eq!(folder.bytes("large.exr"), folder.bytes("small.exr"));
     let [large, small] = ["large.json", "small.json"].map(|name| folder.json(name)["surfaces"].clone());
     assert_eq!(large["evicted"], 0);

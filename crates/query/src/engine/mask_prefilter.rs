@@ -4,6 +4,7 @@ use super::{Answers, Engine, Report, Sky, one_mesh};
 use crate::{
     AoMethod, Occluders, QueryError, Structure,
     far::{Blockers, FarOpacity},
+    share_of,
 };
 use std::sync::Arc;
 use umbrage_accel::Bvh;
@@ -33,9 +34,13 @@ impl<'a> MaskPrefilter<'a> {
         }
         let bvh = one_mesh(method, occluders.flat())?;
         let (pattern, options) = sky.masks()?;
-        let far = one_mesh(method, occluders.far_opacity(progress)?)?;
+        let far = one_mesh(method, occluders.far_opacity(&mut share_of(progress, 0, 2))?)?;
         let blockers = blockers(occluders, bvh);
-        let near = far.near(&blockers, &pattern, &sky.pattern, &options, &sky.pilot, progress)?;
+        let mut choosing = share_of(progress, 1, 2);
+        let near = far.near(&blockers, &pattern, &sky.pattern, &options, &sky.pilot, &mut choosing)?;
+        if !choosing(1.0) {
+            return Err(QueryError::Cancelled);
+        }
         Ok(Self { occluders, bvh, pattern, options, far, near })
     }
 }

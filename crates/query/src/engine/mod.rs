@@ -29,6 +29,18 @@ use umbrage_occlusion::volumetric::{Prepared, ShadowRays};
 /// A callback that gets growing fractions and returns `false` to cancel.
 pub type Report<'r> = &'r mut (dyn FnMut(f32) -> bool + Send);
 
+/// Progress of step `number` of `count`, as fractions of all steps; exactly 1 at the end of the last.
+pub(crate) fn share_of(
+    progress: Report<'_>,
+    number: usize,
+    count: usize,
+) -> impl FnMut(f32) -> bool + Send + '_ {
+    move |fraction| {
+        let is_end = number + 1 == count && fraction == 1.0;
+        progress(if is_end { 1.0 } else { (number as f32 + fraction) / count as f32 })
+    }
+}
+
 /// One sample of a light or of the sky, seen from a receiver.
 #[derive(Clone, Copy, Debug)]
 pub struct LightRay {

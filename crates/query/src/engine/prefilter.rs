@@ -14,7 +14,7 @@ pub(super) const SHADOW_THRESHOLD: f32 = 0.2;
 pub(super) const AO_THRESHOLD: f32 = 0.3;
 
 /// Cones that are put together at a time, on the stack.
-const BATCH: usize = 64;
+const MAX_BATCH_CONES: usize = 64;
 
 pub(super) struct Prefilter<'a> {
     scene: Scene<'a>,
@@ -69,8 +69,8 @@ impl Engine for Prefilter<'_> {
         passed: &mut [f32],
         mut counters: Option<&mut Counters>,
     ) -> Result<(), QueryError> {
-        let mut cones = [ConeRay { ray: Ray::new([0.0; 3], [0.0; 3]), solid_angle: 0.0 }; BATCH];
-        for (rays, passed) in rays.chunks(BATCH).zip(passed.chunks_mut(BATCH)) {
+        let mut cones = [ConeRay { ray: Ray::new([0.0; 3], [0.0; 3]), solid_angle: 0.0 }; MAX_BATCH_CONES];
+        for (rays, passed) in rays.chunks(MAX_BATCH_CONES).zip(passed.chunks_mut(MAX_BATCH_CONES)) {
             for (cone, light) in cones.iter_mut().zip(rays) {
                 *cone = ConeRay { ray: light.ray, solid_angle: light.solid_angle };
             }

@@ -1,7 +1,7 @@
 //! Structures that are made when a method asks for them, and the list of what was made.
 
 use super::{Occluders, PrefilteredParts as Parts};
-use crate::{QueryError, engine::Report, far::FarOpacity};
+use crate::{QueryError, engine::Report, far::FarOpacity, share_of};
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard},
@@ -51,7 +51,7 @@ impl Structure {
 
 /// How a structure was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Made {
+pub struct BuildCost {
     /// How long it took; `None` for what grows while rays are traced.
     pub time: Option<Duration>,
     /// How much memory it holds; `None` for what grows while rays are traced.
@@ -69,8 +69,8 @@ pub(crate) struct PrefilteredParts {
 
 /// What was made so far.
 #[derive(Default)]
-pub(super) struct Demand {
-    made: Mutex<[Option<Made>; Structure::ALL.len()]>,
+pub(super) struct StructuresOnDemand {
+    made: Mutex<[Option<BuildCost>; Structure::ALL.len()]>,
     kd_tree: Mutex<Option<Arc<KdVolumetric>>>,
     prefiltered: Mutex<Option<Parts>>,
     far_opacity: Mutex<Option<Arc<FarOpacity>>>,
@@ -80,9 +80,9 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-impl Demand {
+impl StructuresOnDemand {
     /// Writes down that `structure` was made.
-    pub(super) fn note(&self, structure: Structure, made: Made) {
+    pub(super) fn note(&self, structure: Structure, made: BuildCost) {
         locked(&self.made)[structure as usize] = Some(made);
     }
 
@@ -94,7 +94,7 @@ impl Demand {
     ) -> Result<T, E> {
         let start = Instant::now();
         let (value, bytes) = make()?;
-        self.note(structure, Made { time: Some(start.elapsed()), bytes: Some(bytes) });
+        self.note(structure, BuildCost { time: Some(start.elapsed()), bytes: Some(bytes) });
         Ok(value)
     }
 
@@ -123,14 +123,14 @@ pub(crate) fn solids(mesh: &TriangleMesh) -> Vec<Object> {
 
 impl Occluders {
     /// Every structure with how it was made; `None` for those that nobody has asked for.
-    pub fn structures(&self) -> [(Structure, Option<Made>); Structure::ALL.len()] {
+    pub fn structures(&self) -> [(Structure, Option<BuildCost>); Structure::ALL.len()] {
         let made = locked(&self.demand.made);
         Structure::ALL.map(|structure| (structure, made[structure as usize]))
     }
 
     /// Writes down that an engine has made `structure` for itself.
     pub(crate) fn note(&self, structure: Structure, time: Option<Duration>, bytes: Option<usize>) {
-        self.demand.note(structure, Made { time, bytes });
+        self.demand.note(structure, BuildCost { time, bytes });
     }
 
     /// The kd-tree of opaque triangles in one mesh; `None` for others. Built by the first call.
@@ -199,15 +199,12 @@ impl Occluders {
                 next
             }));
         }
-        let count = jobs.len() as f32;
         let build = |(number, (part, opacities)): (usize, &(usize, Vec<u32>))| {
             let part = &self.parts[*part];
             let of_object = |&object: &u32| f32::from_bits(opacities[object as usize]);
             let of_triangle: Vec<f32> = part.object_of.iter().map(of_object).collect();
             let (mesh, options) = (&part.mesh, PrefilterOptions::default());
-            let last = number + 1 == jobs.len();
-            let mut share =
-                |f: f32| progress(if last && f == 1.0 { 1.0 } else { (number as f32 + f) / count });
+            let mut share = share_of(progress, number, jobs.len());
             let (positions, triangles) = (&mesh.positions, &mesh.triangles);
             let scene = Prefiltered::build(positions, triangles, &of_triangle, &options, &mut share)?;
             Ok(Arc::new(scene))

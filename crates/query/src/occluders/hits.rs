@@ -1,6 +1,6 @@
 //! What rays find among occluders: how much light passes, and the nearest surface.
 
-use super::{Address, Hierarchy, Occluders, Placed};
+use super::{Address, Hierarchy, Occluders, PlacedPart};
 use crate::LightRay;
 use umbrage_accel::Statistics;
 use umbrage_aomask::Sides;
@@ -27,7 +27,7 @@ pub struct ShadingPoint {
     pub width: f32,
 }
 
-impl Placed {
+impl PlacedPart {
     /// Bound on what rounding world points to and from object space is relative to, in world units: four times the
     /// largest sum of magnitudes in the transform of a corner (two transforms, each with up to four roundings, where a
     /// flat mesh has none).

@@ -7,13 +7,13 @@ mod demand;
 mod hits;
 mod surfaces;
 
-pub use demand::{Made, Structure};
+pub use demand::{BuildCost, Structure};
 pub(crate) use demand::{PrefilteredParts, solids};
 pub use hits::ShadingPoint;
 pub use surfaces::SurfaceWork;
 
-use super::{QueryError, SceneKind, SurfaceMode, View, engine::Report};
-use demand::Demand;
+use super::{QueryError, SceneKind, SurfaceMode, View, engine::Report, share_of};
+use demand::StructuresOnDemand;
 use std::sync::Arc;
 use surfaces::Surfaces;
 use umbrage_accel::{BuildOptions, Bvh, InstancedBvh, Placement};
@@ -32,13 +32,13 @@ pub struct Occluders {
     hierarchy: Hierarchy,
     /// Subdivision surfaces that are traced as such.
     surfaces: Option<Surfaces>,
-    parts: Vec<Part>,
-    placed: Vec<Placed>,
+    parts: Vec<OccluderMesh>,
+    placed: Vec<PlacedPart>,
     /// Albedo of each material.
     albedos: Vec<Vec3>,
     opaque: bool,
     bounds: Aabb,
-    demand: Demand,
+    demand: StructuresOnDemand,
 }
 
 enum Hierarchy {
@@ -49,13 +49,13 @@ enum Hierarchy {
 }
 
 /// One mesh as the hierarchy holds it: a mesh of the scene, or all of them in world space.
-struct Part {
+struct OccluderMesh {
     mesh: TriangleMesh,
     /// Index of each triangle's object within the part.
     object_of: Vec<u32>,
 }
 
-struct Placed {
+struct PlacedPart {
     part: usize,
     world_from_object: Affine3A,
     normal_matrix: Mat3A,
@@ -78,10 +78,12 @@ impl Occluders {
     /// [`QueryError::Build`] with the name of the mesh; [`QueryError::Surface`], [`QueryError::Unsupported`] for surfaces that can't
     /// be traced as such; [`QueryError::UnknownMethod`], [`QueryError::Cancelled`].
     pub fn of_scene(scene: &Scene, progress: Report<'_>) -> Result<Self, QueryError> {
-        match Surfaces::split(scene, SurfaceMode::of_scene(scene)?)? {
+        let mode = SurfaceMode::of_scene(scene)?;
+        let split = Surfaces::split(scene, mode, &mut share_of(progress, 0, 2))?;
+        match split {
             None => Self::of_triangles(scene, progress),
             Some((surfaces, rest)) => {
-                let mut occluders = Self::of_triangles(&rest, progress)?;
+                let mut occluders = Self::of_triangles(&rest, &mut share_of(progress, 1, 2))?;
                 occluders.bounds = occluders.bounds.union(surfaces.bounds());
                 occluders.surfaces = Some(surfaces);
                 Ok(occluders)
@@ -90,7 +92,7 @@ impl Occluders {
     }
 
     fn of_triangles(scene: &Scene, progress: Report<'_>) -> Result<Self, QueryError> {
-        let demand = Demand::default();
+        let demand = StructuresOnDemand::default();
         let (parts, placed, hierarchy);
         if scene.instances.is_empty() {
             (parts, placed, hierarchy) = (Vec::new(), Vec::new(), Hierarchy::Absent);
@@ -98,7 +100,7 @@ impl Occluders {
         } else if keeps_instances_apart(scene) {
             (parts, placed) = instanced_parts(scene);
             let progress = Progress::new(parts.len() as u64, progress);
-            let build = |(part, mesh): (&Part, &umbrage_scene::NamedMesh)| {
+            let build = |(part, mesh): (&OccluderMesh, &umbrage_scene::NamedMesh)| {
                 progress.check()?;
                 let bvh = Arc::new(build_bvh(&part.mesh, &mesh.name)?);
                 progress.advance(1)?;
@@ -143,7 +145,7 @@ impl Occluders {
         if meshes.is_empty() {
             return Err(QueryError::NoOccluder);
         }
-        let mut part = Part { mesh: TriangleMesh::default(), object_of: Vec::new() };
+        let mut part = OccluderMesh { mesh: TriangleMesh::default(), object_of: Vec::new() };
         let mut objects = Vec::new();
         for (index, mesh) in meshes.iter().enumerate() {
             let failed = |source| QueryError::Mesh { index, source };
@@ -156,9 +158,9 @@ impl Occluders {
             part.object_of.resize(part.mesh.triangles.len(), objects.len() as u32);
             objects.push((0, OpticalDepth::OPAQUE));
         }
-        let demand = Demand::default();
+        let demand = StructuresOnDemand::default();
         let hierarchy = flat_hierarchy(&part.mesh, &demand, progress)?;
-        let placed = vec![Placed::in_place(objects)];
+        let placed = vec![PlacedPart::in_place(objects)];
         let (opaque, albedos) = (is_opaque(&placed), vec![Vec3::splat(0.5)]);
         let parts = vec![part];
         Ok(Self { hierarchy, surfaces: None, parts, placed, albedos, opaque, bounds, demand })
@@ -274,7 +276,7 @@ fn keeps_instances_apart(scene: &Scene) -> bool {
     uses.iter().any(|&n| n > 1) && effective > FLATTEN_TRIANGLES
 }
 
-impl Part {
+impl OccluderMesh {
     /// Adds the triangles of `mesh`, and its objects to `objects`.
     fn append(
         &mut self,
@@ -301,7 +303,7 @@ impl Part {
     }
 }
 
-impl Placed {
+impl PlacedPart {
     /// A part that is in world space already.
     fn in_place(objects: Vec<(u32, OpticalDepth)>) -> Self {
         let (world_from_object, normal_matrix) = (Affine3A::IDENTITY, Mat3A::IDENTITY);
@@ -309,7 +311,7 @@ impl Placed {
     }
 }
 
-fn is_opaque(placed: &[Placed]) -> bool {
+fn is_opaque(placed: &[PlacedPart]) -> bool {
     placed.iter().flat_map(|p| &p.objects).all(|o| o.1 == OpticalDepth::OPAQUE)
 }
 
@@ -320,7 +322,7 @@ fn build_bvh(mesh: &TriangleMesh, object: &str) -> Result<Bvh, QueryError> {
 
 fn flat_hierarchy(
     mesh: &TriangleMesh,
-    demand: &Demand,
+    demand: &StructuresOnDemand,
     progress: Report<'_>,
 ) -> Result<Hierarchy, QueryError> {
     let progress = Progress::new(1, progress);
@@ -333,7 +335,7 @@ fn flat_hierarchy(
     Ok(Hierarchy::Flat(Arc::new(bvh)))
 }
 
-fn build_top(bvhs: Vec<Arc<Bvh>>, placed: &[Placed]) -> Result<InstancedBvh, QueryError> {
+fn build_top(bvhs: Vec<Arc<Bvh>>, placed: &[PlacedPart]) -> Result<InstancedBvh, QueryError> {
     let placements: Vec<Placement> = placed
         .iter()
         .map(|p| Placement { bvh: p.part as u32, world_from_object: p.world_from_object })
@@ -358,16 +360,16 @@ fn object_indices(mesh: &TriangleMesh) -> Vec<u32> {
     objects.iter().enumerate().flat_map(|(i, o)| std::iter::repeat_n(i as u32, o.triangles.len())).collect()
 }
 
-fn instanced_parts(scene: &Scene) -> (Vec<Part>, Vec<Placed>) {
+fn instanced_parts(scene: &Scene) -> (Vec<OccluderMesh>, Vec<PlacedPart>) {
     let parts = scene
         .meshes
         .iter()
-        .map(|m| Part { mesh: m.mesh.clone(), object_of: object_indices(&m.mesh) })
+        .map(|m| OccluderMesh { mesh: m.mesh.clone(), object_of: object_indices(&m.mesh) })
         .collect();
     let placed = scene
         .instances
         .iter()
-        .map(|i| Placed {
+        .map(|i| PlacedPart {
             part: i.mesh,
             world_from_object: i.world_from_object,
             normal_matrix: i.world_from_object.matrix3.inverse().transpose(),
@@ -378,10 +380,10 @@ fn instanced_parts(scene: &Scene) -> (Vec<Part>, Vec<Placed>) {
 }
 
 /// All instances moved to world space, in one mesh.
-fn flat_part(scene: &Scene) -> (Vec<Part>, Vec<Placed>) {
+fn flat_part(scene: &Scene) -> (Vec<OccluderMesh>, Vec<PlacedPart>) {
     let mesh = scene.flatten();
     let objects = scene.instances.iter().flat_map(|i| objects_of(scene, i)).collect();
-    (vec![Part { object_of: object_indices(&mesh), mesh }], vec![Placed::in_place(objects)])
+    (vec![OccluderMesh { object_of: object_indices(&mesh), mesh }], vec![PlacedPart::in_place(objects)])
 }
 
 fn add_ground(mesh: &mut TriangleMesh, bounds: &Aabb) {

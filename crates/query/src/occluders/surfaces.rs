@@ -1,7 +1,7 @@
 //! Subdivision surfaces among occluders that are traced as such, without triangle meshes.
 
 use super::{ShadingPoint, objects_of};
-use crate::{QueryError, SurfaceMode, subdivide};
+use crate::{QueryError, SurfaceMode, engine::Report, share_of, subdivide};
 use std::{
     ops::ControlFlow,
     sync::{Arc, Mutex},
@@ -15,7 +15,7 @@ use umbrage_reyes::{LimitPoint, RatedSurface, SurfaceTracer, TraceOptions, Trace
 use umbrage_scene::{Scene, Subdivision, SubdivisionRate};
 
 /// Share of a surface's extent by which its box in world space is padded, far more than what transforms round.
-const PADDING: f32 = 1e-5;
+const BOX_PADDING: f32 = 1e-5;
 
 /// What was made of the surfaces so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,13 +34,13 @@ pub struct SurfaceWork {
 }
 
 /// A surface in its own space.
-struct Body {
-    traced: Traced,
+struct TracedSurface {
+    traced: SurfaceRates,
     /// First face of each object but the first.
     object_starts: Vec<u32>,
 }
 
-enum Traced {
+enum SurfaceRates {
     /// Rates by each ray's footprint; states that threads keep between rays.
     Footprint(SurfaceTracer, Mutex<Vec<TraceState>>),
     /// One rate a patch.
@@ -48,7 +48,7 @@ enum Traced {
 }
 
 struct PlacedSurface {
-    body: Arc<Body>,
+    body: Arc<TracedSurface>,
     object_from_world: DAffine3,
     world_from_object: Affine3A,
     normal_matrix: Mat3A,
@@ -59,7 +59,7 @@ struct PlacedSurface {
 /// All surfaces of a scene.
 pub(super) struct Surfaces {
     placed: Vec<PlacedSurface>,
-    bodies: Vec<Arc<Body>>,
+    bodies: Vec<Arc<TracedSurface>>,
     top: BoxBvh,
     bounds: Aabb,
 }
@@ -76,25 +76,30 @@ struct Hit {
     face: Vec3,
 }
 
-impl Body {
+impl TracedSurface {
     fn build(
         scene: &Scene,
         mesh: usize,
         subdivision: &Subdivision,
         mode: SurfaceMode,
+        progress: Report<'_>,
     ) -> Result<Self, QueryError> {
-        let failed = |source| QueryError::Surface { object: scene.meshes[mesh].name.clone(), source };
+        let failed = |source| QueryError::from_surface(&scene.meshes[mesh].name, source);
         let traced = match (mode, subdivision.rate) {
             (SurfaceMode::Footprint, SubdivisionRate::Pixels(pixels)) => {
                 let surface = subdivide::traced_surface(subdivision).map_err(failed)?;
+                let cache_bytes = usize::try_from(scene.settings.grid_cache.bytes()).unwrap_or(usize::MAX);
                 let options = TraceOptions::default()
                     .with_edge(pixels)
                     .with_max_level(subdivide::MAX_LEVEL)
-                    .with_cache_bytes(scene.settings.grid_cache as usize * (1 << 20));
+                    .with_cache_bytes(cache_bytes);
                 let tracer = SurfaceTracer::new(surface, &options).map_err(failed)?;
-                Traced::Footprint(tracer, Mutex::default())
+                if !progress(1.0) {
+                    return Err(QueryError::Cancelled);
+                }
+                SurfaceRates::Footprint(tracer, Mutex::default())
             }
-            _ => Traced::Once(subdivide::rated(scene, mesh, subdivision).map_err(failed)?),
+            _ => SurfaceRates::Once(subdivide::rated(scene, mesh, subdivision, progress).map_err(failed)?),
         };
         let object_starts = subdivision.control.objects.iter().skip(1).map(|o| o.faces.start).collect();
         Ok(Self { traced, object_starts })
@@ -102,8 +107,8 @@ impl Body {
 
     fn surface(&self) -> &umbrage_reyes::Surface {
         match &self.traced {
-            Traced::Footprint(tracer, _) => tracer.surface(),
-            Traced::Once(rated) => rated.surface(),
+            SurfaceRates::Footprint(tracer, _) => tracer.surface(),
+            SurfaceRates::Once(rated) => rated.surface(),
         }
     }
 
@@ -126,10 +131,10 @@ impl Body {
 
     fn any_hit(&self, ray: &Ray, differential: &RayDifferential, stats: &mut impl Statistics) -> bool {
         match &self.traced {
-            Traced::Footprint(tracer, states) => {
+            SurfaceRates::Footprint(tracer, states) => {
                 Self::with_state(tracer, states, stats, |state| tracer.any_hit(ray, differential, state))
             }
-            Traced::Once(rated) => rated.any_hit(ray),
+            SurfaceRates::Once(rated) => rated.any_hit(ray),
         }
     }
 
@@ -140,7 +145,7 @@ impl Body {
         stats: &mut impl Statistics,
     ) -> Option<Hit> {
         match &self.traced {
-            Traced::Footprint(tracer, states) => {
+            SurfaceRates::Footprint(tracer, states) => {
                 let hit = Self::with_state(tracer, states, stats, |state| {
                     tracer.closest_hit(ray, differential, state)
                 })?;
@@ -149,7 +154,7 @@ impl Body {
                 let leave = tracer.leave(&hit, side);
                 Some(Hit { t: hit.t, patch: hit.patch, front: hit.front, limit, leave, face: limit.normal })
             }
-            Traced::Once(rated) => {
+            SurfaceRates::Once(rated) => {
                 let hit = rated.closest_hit(ray)?;
                 let [a, b, c] = rated.corners(&hit).map(|p| Vec3::from(p).as_dvec3());
                 let face = (b - a).cross(c - a).normalize_or_zero();
@@ -203,21 +208,31 @@ impl PlacedSurface {
 
 impl Surfaces {
     /// The surfaces of `scene`; its instances without them are left in the scene that is returned. `None` if there are none.
-    pub(super) fn split(scene: &Scene, mode: SurfaceMode) -> Result<Option<(Self, Scene)>, QueryError> {
+    /// `progress` gets growing fractions that end at exactly 1 if there are any, and returns `false` to cancel.
+    pub(super) fn split(
+        scene: &Scene,
+        mode: SurfaceMode,
+        progress: Report<'_>,
+    ) -> Result<Option<(Self, Scene)>, QueryError> {
         let is_surface = |mesh: usize| scene.meshes[mesh].subdivision.is_some();
         if mode == SurfaceMode::Mesh || !scene.instances.iter().any(|instance| is_surface(instance.mesh)) {
             return Ok(None);
         }
-        let mut of_mesh: Vec<Option<Arc<Body>>> = vec![None; scene.meshes.len()];
+        let is_placed = |mesh: usize| scene.instances.iter().any(|instance| instance.mesh == mesh);
+        let count = (0..scene.meshes.len()).filter(|&mesh| is_surface(mesh) && is_placed(mesh)).count();
+        let mut of_mesh: Vec<Option<Arc<TracedSurface>>> = vec![None; scene.meshes.len()];
         let mut placed = Vec::new();
         for instance in scene.instances.iter().filter(|instance| is_surface(instance.mesh)) {
-            let slot = &mut of_mesh[instance.mesh];
-            let body = match (&slot, &scene.meshes[instance.mesh].subdivision) {
+            let body = match (&of_mesh[instance.mesh], &scene.meshes[instance.mesh].subdivision) {
                 (Some(body), _) => Arc::clone(body),
-                (None, Some(subdivision)) => Arc::new(Body::build(scene, instance.mesh, subdivision, mode)?),
+                (None, Some(subdivision)) => {
+                    let built = of_mesh.iter().flatten().count();
+                    let mut progress = share_of(progress, built, count);
+                    Arc::new(TracedSurface::build(scene, instance.mesh, subdivision, mode, &mut progress)?)
+                }
                 (None, None) => continue,
             };
-            *slot = Some(Arc::clone(&body));
+            of_mesh[instance.mesh] = Some(Arc::clone(&body));
             let objects = objects_of(scene, instance);
             let singular = || QueryError::Build {
                 object: instance.name.clone(),
@@ -256,14 +271,14 @@ impl Surfaces {
             work.patches += patches;
             work.bytes += body.surface().bytes() as u64;
             match &body.traced {
-                Traced::Footprint(tracer, _) => {
+                SurfaceRates::Footprint(tracer, _) => {
                     let counts = tracer.counts();
                     work.grids += counts.dice;
                     work.micropolygons += counts.micropolygons;
                     work.evicted += counts.evicted;
                     work.bytes += (tracer.bvh_bytes() + tracer.peak_grid_bytes()) as u64;
                 }
-                Traced::Once(rated) => {
+                SurfaceRates::Once(rated) => {
                     work.grids += patches;
                     work.micropolygons += rated.micropolygons();
                     work.bytes += rated.bytes() as u64;
@@ -282,7 +297,7 @@ impl Surfaces {
         stats: &mut impl Statistics,
     ) {
         if let [placed] = &self.placed[..]
-            && let Traced::Once(rated) = &placed.body.traced
+            && let SurfaceRates::Once(rated) = &placed.body.traced
         {
             // Rays of one origin walk together.
             for (rays, blocked) in rays.chunks(FAN).zip(blocked.chunks_mut(FAN)) {
@@ -347,6 +362,6 @@ fn world_bounds(placed: &PlacedSurface) -> Aabb {
     };
     let bounds = (0..8).map(corner).fold(Aabb::EMPTY, |bounds, p| bounds.with_point(p.to_array()));
     let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
-    let padding = Vec3::splat(PADDING * (bounds.diagonal() + largest));
+    let padding = Vec3::splat(BOX_PADDING * (bounds.diagonal() + largest));
     Aabb { min: bounds.min - padding, max: bounds.max + padding }
 }

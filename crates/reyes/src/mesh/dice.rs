@@ -8,7 +8,7 @@ use crate::{
     mesh::grid::{GRID_LEVEL, Grid, MAX_VERTICES},
     patch::Lattice,
     rate::length::{MAX_LEVEL, cell},
-    surface::SIZE,
+    surface::PARAMETER_END,
 };
 use umbrage_geom::glam::Vec3;
 
@@ -93,9 +93,9 @@ impl GridKey {
         levels[0].max(levels[1]).saturating_sub(GRID_LEVEL)
     }
 
-    /// First parameters and size in units of [`SIZE`].
+    /// First parameters and size in units of [`PARAMETER_END`].
     pub(crate) fn corner(&self) -> ([u32; 2], u32) {
-        let size = SIZE >> self.depth;
+        let size = PARAMETER_END >> self.depth;
         (self.place.map(|x| u32::from(x) * size), size)
     }
 
@@ -154,23 +154,23 @@ impl Surface {
             return option("level", level.into(), "0 to 12");
         }
         let counts = levels.map(|l| (1usize << l) + 1);
-        let [step_u, step_v] = levels.map(|l| SIZE >> l);
+        let [step_u, step_v] = levels.map(|l| PARAMETER_END >> l);
         points.resize(counts[0] * counts[1], Vec3::ZERO);
         let lattice = Lattice { u0: 0, v0: 0, step_u, step_v, stride: counts[0] };
-        self.patches[patch as usize].root.fill(SIZE, &lattice, counts, points, &self.context);
+        self.patches[patch as usize].root.fill(PARAMETER_END, &lattice, counts, points, &self.context);
         Ok(())
     }
 
     /// The Reyes operation dice. The same bits for the same key, at any time.
     pub(crate) fn dice(&self, key: &GridKey) -> Grid {
         let ([u0, v0], size) = key.corner();
-        let [step_u, step_v] = key.levels.map(|l| SIZE >> l);
+        let [step_u, step_v] = key.levels.map(|l| PARAMETER_END >> l);
         let counts = [(size / step_u) as usize + 1, (size / step_v) as usize + 1];
         let mut positions = [Vec3::ZERO; MAX_VERTICES];
         let positions = &mut positions[..counts[0] * counts[1]];
         let mut parameters = [[0f32; 2]; MAX_VERTICES];
         self.place_vertices(key, counts, positions, &mut parameters);
-        let unit = 1.0 / SIZE as f32;
+        let unit = 1.0 / PARAMETER_END as f32;
         let levels = key.levels.map(|l| l - key.depth);
         let moved = (!key.stitch.is_none()).then(|| &parameters[..positions.len()]);
         let start = [u0, v0].map(|x| x as f32 * unit);
@@ -187,13 +187,13 @@ impl Surface {
         parameters: &mut [[f32; 2]],
     ) {
         let ([u0, v0], _) = key.corner();
-        let [step_u, step_v] = key.levels.map(|l| SIZE >> l);
+        let [step_u, step_v] = key.levels.map(|l| PARAMETER_END >> l);
         let lattice = Lattice { u0, v0, step_u, step_v, stride: counts[0] };
-        self.patches[key.patch as usize].root.fill(SIZE, &lattice, counts, positions, &self.context);
+        self.patches[key.patch as usize].root.fill(PARAMETER_END, &lattice, counts, positions, &self.context);
         if !key.stitch.is_none() {
             for (i, p) in parameters[..positions.len()].iter_mut().enumerate() {
                 *p = [u0 + (i % counts[0]) as u32 * step_u, v0 + (i / counts[0]) as u32 * step_v]
-                    .map(|x| x as f32 / SIZE as f32);
+                    .map(|x| x as f32 / PARAMETER_END as f32);
             }
         }
         for edge in 0..4 {
@@ -218,7 +218,7 @@ impl Surface {
         let axis = edge % 2;
         let ([u0, v0], size) = key.corner();
         let (start, level) = ([u0, v0][axis], key.levels[axis]);
-        let step = SIZE >> level;
+        let step = PARAMETER_END >> level;
         // The fixed parameter.
         let far = edge == 1 || edge == 2;
         let fixed = [u0, v0][1 - axis] + if far { size } else { 0 };
@@ -236,7 +236,7 @@ impl Surface {
             let (u, v) = if axis == 0 { (at, fixed) } else { (fixed, at) };
             let is_corner = i == 0 || i + 1 == counts[axis];
             let stays = at == start + i as u32 * step;
-            let moved = [u, v].map(|x| x as f32 / SIZE as f32);
+            let moved = [u, v].map(|x| x as f32 / PARAMETER_END as f32);
             if is_corner && stays && !key.stitch.is_none() && parameters[index(i)] != moved {
                 // The other border at this corner has moved it.
                 continue;
@@ -249,17 +249,17 @@ impl Surface {
         }
     }
 
-    /// The point of border `edge` of a part where the parameter along it is `at`, in units of [`SIZE`].
+    /// The point of border `edge` of a part where the parameter along it is `at`, in units of [`PARAMETER_END`].
     pub(crate) fn border_position(&self, key: &GridKey, edge: usize, at: u32) -> Vec3 {
         if key.touches(edge) {
             // Edges 2 and 3 run against the parameters.
-            let s = if edge < 2 { at } else { SIZE - at };
+            let s = if edge < 2 { at } else { PARAMETER_END - at };
             return self.edge_position(key.patch, edge, s);
         }
         let (corner, size) = key.corner();
         let far = edge == 1 || edge == 2;
         let fixed = corner[1 - edge % 2] + if far { size } else { 0 };
         let (u, v) = if edge.is_multiple_of(2) { (at, fixed) } else { (fixed, at) };
-        self.patches[key.patch as usize].root.position(u, v, SIZE, &self.context)
+        self.patches[key.patch as usize].root.position(u, v, PARAMETER_END, &self.context)
     }
 }

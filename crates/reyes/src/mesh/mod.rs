@@ -1,8 +1,9 @@
-//! Micropolygons: grids diced from parts of patches, whole surfaces at one rate a patch, and rasterization of grids.
+//! Micropolygons: grids of parts of patches, and whole surfaces at one rate a patch.
 
-pub(crate) mod bucket;
-pub(crate) mod cells;
+mod cells;
 pub(crate) mod dice;
 pub(crate) mod grid;
-pub(crate) mod rated;
-pub(crate) mod tessellate;
+mod rated;
+mod tessellate;
+
+pub use rated::{RatedHit, RatedSurface};

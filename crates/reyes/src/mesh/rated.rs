@@ -5,23 +5,21 @@ use crate::{
     mesh::cells::Cells,
     mesh::dice::{GridKey, Stitch},
     mesh::grid::GridRay,
-    rate::length::MAX_LEVEL,
     surface::LimitPoint,
 };
 use std::{collections::HashMap, ops::ControlFlow, sync::Arc};
 use umbrage_accel::{BoxBvh, BoxFanVisitor, BoxVisitor, BuildQuality, FAN};
 use umbrage_geom::{
-    MeshError, MeshObject, Ray, TriangleHit, TriangleMesh,
+    MeshObject, Progress, Ray, TriangleHit, TriangleMesh,
     glam::{Affine3A, Vec3},
     kernel::fan::FanRays,
-    mesh::MAX_ELEMENTS,
 };
 
 /// Fewest rays of one origin that walk together.
-const SMALLEST_FAN: usize = 3;
+const MIN_FAN_RAYS: usize = 3;
 
 /// Boxes up to which the hierarchy is built with care.
-const MAX_BOXES_OF_HIGH_QUALITY: usize = 1 << 15;
+const MAX_HIGH_QUALITY_BOXES: usize = 1 << 15;
 
 /// Where a ray meets a [`RatedSurface`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,22 +44,18 @@ pub struct RatedSurface {
 
 impl RatedSurface {
     /// Each patch divided into `2^levels` cells along `u` and `v`, raised to what quadrilaterals beside other faces need.
+    /// `progress` gets growing fractions that end at exactly 1, and returns `false` to cancel.
     ///
     /// # Errors
-    /// [`SurfaceError::Option`] for a level beyond [`MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices;
-    /// [`SurfaceError::Build`].
-    pub fn new(surface: Arc<Surface>, levels_of: impl Fn(u32) -> [u8; 2]) -> Result<Self, SurfaceError> {
-        let levels: Vec<[u8; 2]> = (0..surface.patch_count() as u32)
-            .map(|i| levels_of(i).map(|l| l.max(surface.least_level(i))))
-            .collect();
-        if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
-            let value = level.into();
-            return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
-        }
-        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
-        if count > MAX_ELEMENTS / 2 {
-            return Err(MeshError::TooMany { what: "vertices", count }.into());
-        }
+    /// [`SurfaceError::Option`] for a level beyond [`crate::MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices;
+    /// [`SurfaceError::Build`], [`SurfaceError::Cancelled`].
+    pub fn build(
+        surface: Arc<Surface>,
+        levels_of: impl Fn(u32) -> [u8; 2],
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<Self, SurfaceError> {
+        let levels = surface.checked_levels(levels_of)?;
+        let progress = Progress::new(surface.patch_count() as u64, progress);
         let mut cells = Cells::new(&levels);
         let mut boxes = Vec::new();
         let (mut positions, mut parameters) = (Vec::new(), Vec::new());
@@ -72,20 +66,27 @@ impl RatedSurface {
             parameters.resize(positions.len(), [0.0; 2]);
             surface.place_vertices(&key, counts, &mut positions, &mut parameters);
             cells.push(&positions, !key.stitch.is_none(), &mut boxes);
+            progress.advance(1)?;
         }
         let quality =
-            if boxes.len() <= MAX_BOXES_OF_HIGH_QUALITY { BuildQuality::High } else { BuildQuality::Fast };
-        Ok(Self { bvh: BoxBvh::build(&boxes, quality)?, cells, levels, surface })
+            if boxes.len() <= MAX_HIGH_QUALITY_BOXES { BuildQuality::High } else { BuildQuality::Fast };
+        let bvh = BoxBvh::build(&boxes, quality)?;
+        progress.finish()?;
+        Ok(Self { bvh, cells, levels, surface })
     }
 
     /// Rates by a camera: of lines along the edges and in the middle of each patch, the one that needs most counts. Edges are
     /// between 0.7 and 1.4 times as long as `rates` say where patches are evenly parametrized.
     ///
     /// # Errors
-    /// As [`Self::new`]; [`SurfaceError::Option`] if the width is not positive, the eye not finite, the level beyond
-    /// [`MAX_LEVEL`] or the turn negative or not finite.
-    pub fn for_eye(surface: Arc<Surface>, rates: &EyeRates) -> Result<Self, SurfaceError> {
-        Self::for_eye_on(surface, &[Affine3A::IDENTITY], rates)
+    /// As [`Self::build`]; [`SurfaceError::Option`] if the width is not positive, the eye not finite, the level beyond
+    /// [`crate::MAX_LEVEL`] or the turn negative or not finite.
+    pub fn for_eye(
+        surface: Arc<Surface>,
+        rates: &EyeRates,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
+    ) -> Result<Self, SurfaceError> {
+        Self::for_eye_on(surface, &[Affine3A::IDENTITY], rates, progress)
     }
 
     /// [`Self::for_eye`] for a surface that stands in the eye's world at several places: each patch gets the finest rate that
@@ -97,10 +98,11 @@ impl RatedSurface {
         surface: Arc<Surface>,
         world_from_object: &[Affine3A],
         rates: &EyeRates,
+        progress: &mut (dyn FnMut(f32) -> bool + Send),
     ) -> Result<Self, SurfaceError> {
         rates.validate()?;
         let patches = Arc::clone(&surface);
-        Self::new(surface, |patch| patches.levels_for_eye(patch, world_from_object, rates))
+        Self::build(surface, |patch| patches.levels_for_eye(patch, world_from_object, rates), progress)
     }
 
     /// The surface.
@@ -146,7 +148,7 @@ impl RatedSurface {
             let end = start + rays[start..].iter().take(FAN).take_while(same).count();
             let (fan, answers) = (&rays[start..end], &mut hits[start..end]);
             let mut answered = 0;
-            if fan.len() >= SMALLEST_FAN {
+            if fan.len() >= MIN_FAN_RAYS {
                 let mut visitor =
                     FanVisitor { surface: self, rays: fan, origin: first.origin.to_array(), hits: 0 };
                 answered = self.bvh.walk_fan(fan, &mut visitor);

@@ -1,16 +1,37 @@
 //! The whole surface as one watertight triangle mesh, at rates that the caller chooses.
 
 use crate::{
-    Surface, SurfaceError,
+    MAX_LEVEL, Surface, SurfaceError,
     mesh::dice::{GridKey, Stitch},
     patch::{Children, quarter_at},
-    rate::length::MAX_LEVEL,
     subdiv::NONE,
-    surface::{Meeting, SIZE},
+    surface::{Meeting, PARAMETER_END},
 };
 use umbrage_geom::{Aabb, MeshError, TriangleMesh, mesh::MAX_ELEMENTS};
 
 impl Surface {
+    /// Levels of all patches, raised to what quadrilaterals beside other faces need.
+    ///
+    /// # Errors
+    /// [`SurfaceError::Option`] for a level beyond [`MAX_LEVEL`]; [`SurfaceError::Mesh`] for more vertices than indices.
+    pub(crate) fn checked_levels(
+        &self,
+        levels_of: impl Fn(u32) -> [u8; 2],
+    ) -> Result<Vec<[u8; 2]>, SurfaceError> {
+        let levels: Vec<[u8; 2]> = (0..self.patch_count() as u32)
+            .map(|i| levels_of(i).map(|l| l.max(self.least_level(i))))
+            .collect();
+        if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
+            let value = level.into();
+            return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
+        }
+        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
+        if count > MAX_ELEMENTS / 2 {
+            return Err(MeshError::TooMany { what: "vertices", count }.into());
+        }
+        Ok(levels)
+    }
+
     /// The surface as triangles, each patch divided into `2^levels` cells along `u` and `v`, `levels` from `levels_of` and
     /// raised to what quadrilaterals beside other faces need; shared edges follow the coarser side. Positions on shared
     /// edges are equal bit for bit, vertices are not shared. The patch of each triangle comes second.
@@ -21,17 +42,7 @@ impl Surface {
         &self,
         levels_of: impl Fn(u32) -> [u8; 2],
     ) -> Result<(TriangleMesh, Vec<u32>), SurfaceError> {
-        let levels: Vec<[u8; 2]> = (0..self.patch_count() as u32)
-            .map(|i| levels_of(i).map(|l| l.max(self.patches[i as usize].least_level())))
-            .collect();
-        if let Some(&level) = levels.as_flattened().iter().find(|&&l| l > MAX_LEVEL) {
-            let value = level.into();
-            return Err(SurfaceError::Option { name: "level", value, expected: "0 to 12" });
-        }
-        let count: usize = levels.iter().map(|l| ((1usize << l[0]) + 1) * ((1usize << l[1]) + 1)).sum();
-        if count > MAX_ELEMENTS / 2 {
-            return Err(MeshError::TooMany { what: "vertices", count }.into());
-        }
+        let levels = self.checked_levels(levels_of)?;
         let mut mesh = TriangleMesh::default();
         let mut patches = Vec::new();
         let all = 0..self.patch_count() as u32;
@@ -98,7 +109,7 @@ impl Surface {
     pub(crate) fn stitched_ends(&self, part: &GridKey, edge: usize, shift: u8) -> Aabb {
         let axis = edge % 2;
         let (corner, size) = part.corner();
-        let step = SIZE >> (part.levels[axis] - shift);
+        let step = PARAMETER_END >> (part.levels[axis] - shift);
         let ends = [corner[axis] / step * step, (corner[axis] + size).div_ceil(step) * step];
         ends.into_iter()
             .fold(Aabb::EMPTY, |bounds, at| bounds.with_point(self.border_position(part, edge, at)))

@@ -1,6 +1,6 @@
 //! The tree of quarters of a patch. Quarters are made when they are first asked for, and kept as far as their budget of memory
 //! allows. A quarter is a bicubic patch where the surface is regular; around extraordinary vertices and decaying creases it
-//! is a ring of control points, which is split down to level [`MAX_IRREGULAR_LEVEL`] and counts as its nearest corner there.
+//! is a ring of control points, which is split down to level [`MAX_DEPTH`] and counts as its nearest corner there.
 //!
 //! Here: bounds, splits, positions and limit points. Not here: rings ([`Ring`]) and bicubic patches ([`Bicubic`]), how finely
 //! a patch is diced (`dice.rs`, `length.rs`), which parts a ray visits (`trace.rs`).
@@ -24,7 +24,7 @@ use umbrage_geom::{
 };
 
 /// Levels below which an irregular patch counts as its nearest corner.
-const MAX_IRREGULAR_LEVEL: u32 = 40;
+const MAX_DEPTH: u32 = 40;
 
 /// What all nodes of a surface share.
 #[derive(Debug)]
@@ -283,7 +283,7 @@ impl Node {
             }
             Kind::Irregular(ring) => {
                 let at_corner = (u == 0.0 || u == 1.0) && (v == 0.0 || v == 1.0);
-                if at_corner || depth >= MAX_IRREGULAR_LEVEL {
+                if at_corner || depth >= MAX_DEPTH {
                     let corner = quarter_at(u >= 0.5, v >= 0.5);
                     let [a, b] = ring.tangents(corner, context.method);
                     // Tangents run along the next and the previous edge.
@@ -365,16 +365,16 @@ fn fill_regular(
         f64::from(start + i as u32 * step - origin) / f64::from(place.size)
     };
     // A row of a grid and a bit more; longer rows come in pieces.
-    const PIECE: usize = 8 * LANES;
-    let mut weights_known = [[0f32; 4]; PIECE];
+    const MAX_ROW_POINTS: usize = 8 * LANES;
+    let mut weights_known = [[0f32; 4]; MAX_ROW_POINTS];
     let mut first = us.start;
     while first < us.end {
-        let piece = first..us.end.min(first + PIECE);
+        let piece = first..us.end.min(first + MAX_ROW_POINTS);
         let known = &mut weights_known[..piece.len()];
         for (i, w) in known.iter_mut().enumerate() {
             *w = weights(at(lattice.u0, first + i, lattice.step_u, place.u));
         }
-        let mut columns = [Columns::NONE; PIECE / LANES];
+        let mut columns = [Columns::NONE; MAX_ROW_POINTS / LANES];
         for (columns, weights) in columns.iter_mut().zip(known.chunks(LANES)) {
             *columns = Columns::new(weights);
         }

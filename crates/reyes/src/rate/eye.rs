@@ -4,7 +4,7 @@ use crate::{
     Surface, SurfaceError,
     patch::Lattice,
     rate::length::{MAX_LEVEL, cell},
-    surface::SIZE,
+    surface::PARAMETER_END,
 };
 use umbrage_geom::glam::{Affine3A, DVec3, Vec3};
 
@@ -12,7 +12,7 @@ use umbrage_geom::glam::{Affine3A, DVec3, Vec3};
 const SEGMENTS: usize = 2;
 
 /// Points of such a line.
-const LINE: usize = SEGMENTS + 1;
+const LINE_POINTS: usize = SEGMENTS + 1;
 
 /// Most that edges are lengthened or shortened by.
 const MAX_BEND_FACTOR: f64 = 4.0;
@@ -80,7 +80,7 @@ impl EyeRates {
     }
 
     /// Level, from `least` to `most`, at which edges along a line are as long as they shall be, or shorter by less than a half.
-    fn level(&self, line: [DVec3; LINE], least: u8, most: u8) -> u8 {
+    fn level(&self, line: [DVec3; LINE_POINTS], least: u8, most: u8) -> u8 {
         let eye = self.eye.as_dvec3();
         let [before, after] = [line[1] - line[0], line[2] - line[1]];
         let nearest = line.map(|p| p.distance(eye)).into_iter().fold(f64::INFINITY, f64::min);
@@ -105,15 +105,23 @@ impl Surface {
     pub(crate) fn levels_for_eye(&self, patch: u32, places: &[Affine3A], rates: &EyeRates) -> [u8; 2] {
         let least = self.least_level(patch);
         let most = rates.max_level.max(least);
-        let mut points = [Vec3::ZERO; LINE * LINE];
-        let step = SIZE / SEGMENTS as u32;
-        let lattice = Lattice { u0: 0, v0: 0, step_u: step, step_v: step, stride: LINE };
-        self.patches[patch as usize].root.fill(SIZE, &lattice, [LINE; 2], &mut points, &self.context);
+        let mut points = [Vec3::ZERO; LINE_POINTS * LINE_POINTS];
+        let step = PARAMETER_END / SEGMENTS as u32;
+        let lattice = Lattice { u0: 0, v0: 0, step_u: step, step_v: step, stride: LINE_POINTS };
+        self.patches[patch as usize].root.fill(
+            PARAMETER_END,
+            &lattice,
+            [LINE_POINTS; 2],
+            &mut points,
+            &self.context,
+        );
         let mut levels = [least; 2];
         for world_from_object in places {
             let placed = points.map(|p| world_from_object.transform_point3(p).as_dvec3());
-            for (axis, line) in (0..2).flat_map(|axis| (0..LINE).map(move |line| (axis, line))) {
-                let point = |i: usize| placed[if axis == 0 { line * LINE + i } else { i * LINE + line }];
+            for (axis, line) in (0..2).flat_map(|axis| (0..LINE_POINTS).map(move |line| (axis, line))) {
+                let point = |i: usize| {
+                    placed[if axis == 0 { line * LINE_POINTS + i } else { i * LINE_POINTS + line }]
+                };
                 levels[axis] = levels[axis].max(rates.level([0, 1, 2].map(point), least, most));
             }
         }

@@ -15,7 +15,7 @@ pub(crate) fn cell(level: u8) -> f64 {
 }
 
 /// Splits after which differences of control points bound derivatives; 2 leaves a few percent on curved patches.
-const SPLITS: u32 = 2;
+const BOUND_SPLITS: u32 = 2;
 
 /// What is known of an irregular patch at some level.
 #[derive(Clone, Copy, Debug, Default)]
@@ -73,7 +73,7 @@ impl Patch {
 
     fn speeds(&self, known: &OnceLock<Speeds>) -> Speeds {
         *known.get_or_init(|| match &self.root.kind {
-            Kind::Regular(patch) => patch.speeds(SPLITS),
+            Kind::Regular(patch) => patch.speeds(BOUND_SPLITS),
             _ => Speeds::default(),
         })
     }
@@ -143,7 +143,7 @@ fn anisotropic(speeds: &Speeds, width: f64, least: u8, max_level: u8) -> [u8; 2]
 fn measure(node: &Node, depth: u8, level: u8, context: &TreeContext, found: &mut Level) {
     match &node.kind {
         Kind::Regular(patch) if depth == level => {
-            let own = patch.speeds(SPLITS.saturating_sub(u32::from(depth)));
+            let own = patch.speeds(BOUND_SPLITS.saturating_sub(u32::from(depth)));
             found.speeds = found.speeds.max(own.of_whole(depth));
         }
         Kind::Regular(_) => {}

@@ -1,6 +1,6 @@
 //! A subdivision surface: its patches, how they meet, and points of the limit surface.
 
-pub(crate) mod build;
+mod build;
 
 use crate::{
     SurfaceError,
@@ -18,14 +18,14 @@ use umbrage_geom::{
 };
 
 /// Parameters of patches are integers from 0 to this in grids, so that equal points have equal parameters.
-pub(crate) const SIZE: u32 = 1 << 16;
+pub(crate) const PARAMETER_END: u32 = 1 << 16;
 
 /// Options of [`Surface::build`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SurfaceOptions {
     /// How patches are bounded.
-    pub bounds: Bounds,
+    pub bounds: PatchBounds,
     /// Levels of preemptive subdivision that tighten the bounds of patches (Djeu 2011, section 6.13.5), at most 6.
     pub tight_levels: u32,
     /// Bytes that parts of patches may take in all, those of the control mesh left out; what does not fit is computed
@@ -39,7 +39,7 @@ pub struct SurfaceOptions {
 impl Default for SurfaceOptions {
     fn default() -> Self {
         Self {
-            bounds: Bounds::default(),
+            bounds: PatchBounds::default(),
             tight_levels: 1,
             tree_bytes: 256 << 20,
             // AVX-512 code is slower here: see `docs/reyes.md`, Evaluation.
@@ -51,7 +51,7 @@ impl Default for SurfaceOptions {
 impl SurfaceOptions {
     /// With another [`Self::bounds`].
     #[must_use]
-    pub fn with_bounds(self, bounds: Bounds) -> Self {
+    pub fn with_bounds(self, bounds: PatchBounds) -> Self {
         Self { bounds, ..self }
     }
 
@@ -77,7 +77,7 @@ impl SurfaceOptions {
 /// How a patch is bounded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
-pub enum Bounds {
+pub enum PatchBounds {
     /// Box of all control points (Djeu 2011, section 6.4).
     Hull,
     /// Box of the Bezier control points where a patch is regular.
@@ -168,13 +168,13 @@ pub struct Surface {
     bounds: Aabb,
 }
 
-/// Where `edge` of a patch is at `s` from its start, in units of [`SIZE`].
+/// Where `edge` of a patch is at `s` from its start, in units of [`PARAMETER_END`].
 pub(crate) fn on_edge(edge: usize, s: u32) -> (u32, u32) {
     match edge {
         0 => (s, 0),
-        1 => (SIZE, s),
-        2 => (SIZE - s, SIZE),
-        _ => (0, SIZE - s),
+        1 => (PARAMETER_END, s),
+        2 => (PARAMETER_END - s, PARAMETER_END),
+        _ => (0, PARAMETER_END - s),
     }
 }
 
@@ -207,7 +207,7 @@ impl Surface {
         let context = TreeContext {
             method: mesh.crease_method(),
             kernel: Kernel::new(options.back_end),
-            bezier_bounds: options.bounds == Bounds::Bezier,
+            bezier_bounds: options.bounds == PatchBounds::Bezier,
             limit: options.tree_bytes,
             bytes: 0.into(),
             bounds: 0.into(),
@@ -302,27 +302,31 @@ impl Surface {
     pub(crate) fn edge_points(&self, patch: u32, edge: usize) -> [Vec3; 5] {
         let known = &self.patches[patch as usize].edge_points[edge];
         **known.get_or_init(|| {
-            Box::new([0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (SIZE / 4))))
+            Box::new([0, 1, 2, 3, 4].map(|i| self.edge_position(patch, edge, i * (PARAMETER_END / 4))))
         })
     }
 
-    /// The point at `s` of [`SIZE`] along an edge: the same bits from both sides.
+    /// The point at `s` of [`PARAMETER_END`] along an edge: the same bits from both sides.
     pub(crate) fn edge_position(&self, patch: u32, edge: usize, s: u32) -> Vec3 {
         let own = &self.patches[patch as usize];
-        if s == 0 || s == SIZE {
-            return self.corner(patch, edge + usize::from(s == SIZE));
+        if s == 0 || s == PARAMETER_END {
+            return self.corner(patch, edge + usize::from(s == PARAMETER_END));
         }
-        let link = own.links[edge][usize::from(2 * s >= SIZE)];
+        let link = own.links[edge][usize::from(2 * s >= PARAMETER_END)];
         let (owner, edge, s) = match link.meeting {
-            Meeting::OtherIsHalf if 2 * s == SIZE => return self.corner(own.links[edge][0].patch, 3),
-            Meeting::OwnIsHalf { upper } if link.patch != NONE => {
-                (link.patch, usize::from(link.edge), if upper { SIZE } else { SIZE / 2 } - s / 2)
+            Meeting::OtherIsHalf if 2 * s == PARAMETER_END => {
+                return self.corner(own.links[edge][0].patch, 3);
             }
-            Meeting::Whole if link.patch < patch => (link.patch, usize::from(link.edge), SIZE - s),
+            Meeting::OwnIsHalf { upper } if link.patch != NONE => (
+                link.patch,
+                usize::from(link.edge),
+                if upper { PARAMETER_END } else { PARAMETER_END / 2 } - s / 2,
+            ),
+            Meeting::Whole if link.patch < patch => (link.patch, usize::from(link.edge), PARAMETER_END - s),
             _ => (patch, edge, s),
         };
         let (u, v) = on_edge(edge, s);
-        self.patches[owner as usize].root.position(u, v, SIZE, &self.context)
+        self.patches[owner as usize].root.position(u, v, PARAMETER_END, &self.context)
     }
 }
 
@@ -336,7 +340,7 @@ impl Surface {
         level: u8,
         own: impl Fn(usize) -> Vec3,
     ) -> Vec<Vec3> {
-        let (count, step) = (1usize << level, SIZE >> level);
+        let (count, step) = (1usize << level, PARAMETER_END >> level);
         let mut row = vec![Vec3::ZERO; count + 1];
         // From the start of the edge; edges 2 and 3 run against the parameters.
         row[0] = self.corner(patch, edge);
@@ -347,8 +351,10 @@ impl Surface {
             let foreign = link.patch != NONE;
             // Where the owner has place `i`: from `base` downwards.
             let (base, stride) = match link.meeting {
-                Meeting::OwnIsHalf { upper } if foreign => (if upper { SIZE } else { SIZE / 2 }, step / 2),
-                Meeting::Whole if foreign && link.patch < patch => (SIZE, step),
+                Meeting::OwnIsHalf { upper } if foreign => {
+                    (if upper { PARAMETER_END } else { PARAMETER_END / 2 }, step / 2)
+                }
+                Meeting::Whole if foreign && link.patch < patch => (PARAMETER_END, step),
                 _ => {
                     for i in places {
                         row[i] = own(if edge < 2 { i } else { count - i });
@@ -362,15 +368,21 @@ impl Surface {
             let first = base - (places.end - 1) as u32 * stride;
             let last = base - places.start as u32 * stride;
             let against = link.edge >= 2;
-            let (start, points) = (if against { SIZE - last } else { first }, &mut row[places]);
-            let fixed = if link.edge == 1 || link.edge == 2 { SIZE } else { 0 };
+            let (start, points) = (if against { PARAMETER_END - last } else { first }, &mut row[places]);
+            let fixed = if link.edge == 1 || link.edge == 2 { PARAMETER_END } else { 0 };
             let (u0, v0, counts) = if link.edge.is_multiple_of(2) {
                 (start, fixed, [points.len(), 1])
             } else {
                 (fixed, start, [1, points.len()])
             };
             let lattice = Lattice { u0, v0, step_u: stride, step_v: stride, stride: counts[0] };
-            self.patches[link.patch as usize].root.fill(SIZE, &lattice, counts, points, &self.context);
+            self.patches[link.patch as usize].root.fill(
+                PARAMETER_END,
+                &lattice,
+                counts,
+                points,
+                &self.context,
+            );
             // Places run downwards along the owner's edge.
             if !against {
                 points.reverse();

@@ -13,8 +13,8 @@ use std::{
 };
 
 /// Bytes from which the cache is divided so that threads rarely wait for each other.
-const SHARED_FROM: usize = 1 << 20;
-const SHARDS: usize = 16;
+const MIN_DIVIDED_BYTES: usize = 1 << 20;
+const DIVISIONS: usize = 16;
 
 /// A multiplicative hash; keys are small integers.
 #[derive(Default)]
@@ -64,7 +64,7 @@ struct Slot {
 }
 
 #[derive(Default)]
-struct Shard {
+struct Division {
     slots: HashMap<GridKey, Slot, BuildHasherDefault<KeyHasher>>,
     /// Oldest first.
     order: VecDeque<GridKey>,
@@ -73,7 +73,7 @@ struct Shard {
 
 /// See the [module](self).
 pub(crate) struct GridCache {
-    shards: Box<[Mutex<Shard>]>,
+    shards: Box<[Mutex<Division>]>,
     /// Of each shard.
     budget: usize,
     bytes: AtomicUsize,
@@ -82,11 +82,11 @@ pub(crate) struct GridCache {
 }
 
 /// Bytes that a slot takes beside its grid: key twice, slot, and room to grow.
-const OVERHEAD: usize = 2 * size_of::<GridKey>() + size_of::<Slot>() + 24;
+const SLOT_BYTES: usize = 2 * size_of::<GridKey>() + size_of::<Slot>() + 24;
 
 impl GridCache {
     pub(crate) fn new(budget: usize) -> Self {
-        let count = if budget >= SHARED_FROM { SHARDS } else { 1 };
+        let count = if budget >= MIN_DIVIDED_BYTES { DIVISIONS } else { 1 };
         Self {
             shards: (0..count).map(|_| Mutex::default()).collect(),
             budget: budget / count,
@@ -96,7 +96,7 @@ impl GridCache {
         }
     }
 
-    fn shard(&self, key: &GridKey) -> MutexGuard<'_, Shard> {
+    fn shard(&self, key: &GridKey) -> MutexGuard<'_, Division> {
         let shard = &self.shards[(hash(key) >> 48) as usize % self.shards.len()];
         // A panic elsewhere leaves no slot half made.
         shard.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
@@ -110,7 +110,7 @@ impl GridCache {
         }
         // Made without the lock: others may make the same, which has the same bits.
         let grid = Arc::new(make());
-        let bytes = grid.bytes() + OVERHEAD;
+        let bytes = grid.bytes() + SLOT_BYTES;
         if bytes > self.budget {
             return grid;
         }
@@ -126,18 +126,19 @@ impl GridCache {
         }
         shard.bytes += bytes;
         let after = shard.bytes;
-        drop(shard);
+        // Under the lock, so that each division has told of no more than its budget at any time, and so have all together.
         let total = if after >= before {
             self.bytes.fetch_add(after - before, Relaxed) + (after - before)
         } else {
             self.bytes.fetch_sub(before - after, Relaxed) - (before - after)
         };
         self.peak.fetch_max(total, Relaxed);
+        drop(shard);
         grid
     }
 
     /// Drops the oldest grid that was not asked for lately.
-    fn evict(&self, shard: &mut Shard) {
+    fn evict(&self, shard: &mut Division) {
         while let Some(key) = shard.order.pop_front() {
             let Some(slot) = shard.slots.get_mut(&key) else { continue };
             if std::mem::take(&mut slot.used) {

@@ -1,20 +1,22 @@
 //! Rays against a surface: a hierarchy over patch bounds, rates by footprint, grids on demand.
 
-pub(crate) mod cache;
-pub(crate) mod occluder;
-pub(crate) mod state;
+mod cache;
+mod occluder;
+mod options;
+mod state;
 
+pub use options::{Borders, FootprintRule, Rates, TraceOptions};
+pub use state::TraceState;
+
+use self::{cache::GridCache, occluder::OpaqueCells};
 use crate::{
-    FootprintRule, Rates, Surface, SurfaceError, TraceOptions,
+    Surface, SurfaceError,
     mesh::dice::{GridKey, Stitch},
     mesh::grid::{Grid, GridRay},
     patch::{Node, QUARTERS},
     rate::footprint::Width,
     subdiv::NONE,
-    surface::{LimitPoint, Meeting},
-    trace::cache::GridCache,
-    trace::occluder::OpaqueCells,
-    trace::state::TraceState,
+    surface::LimitPoint,
 };
 use std::{
     ops::ControlFlow,
@@ -24,10 +26,7 @@ use std::{
     },
 };
 use umbrage_accel::{BoxBvh, BuildQuality};
-use umbrage_geom::{Aabb, Ray, RayDifferential, glam::Vec3, intersect_triangle, offset_origin};
-
-/// Parts that exact final approach keeps open at most.
-const MAX_FRONTIER: usize = 64;
+use umbrage_geom::{Aabb, Ray, RayDifferential, glam::Vec3, offset_origin};
 
 /// Where a ray meets a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,7 +62,7 @@ pub struct TraceCounts {
 /// of threads and cache size.
 pub struct SurfaceTracer {
     pub(crate) surface: Arc<Surface>,
-    bvh: BoxBvh,
+    pub(crate) bvh: BoxBvh,
     pub(crate) options: TraceOptions,
     cache: GridCache,
     occluders: Option<OpaqueCells>,
@@ -72,7 +71,7 @@ pub struct SurfaceTracer {
 }
 
 /// One ray's way through the surface.
-pub(crate) struct Query<'a, 's> {
+pub(crate) struct RayWalk<'a, 's> {
     pub(crate) tracer: &'a SurfaceTracer,
     /// The whole ray, by which rates are chosen.
     pub(crate) whole: GridRay,
@@ -152,35 +151,8 @@ impl SurfaceTracer {
         self.query(ray, differential, state, false)?.closest.map(|(hit, ..)| hit)
     }
 
-    /// [`Self::any_hit`] with the patches nearest to the segment's end tried first (Djeu 2011, section 6.15, the deferment
-    /// list): an occluder there, where a diverging ray is wide, spares the fine rates near the origin.
-    ///
-    /// The answer is that of [`Self::any_hit`].
-    pub fn any_hit_deferred(
-        &self,
-        ray: &Ray,
-        differential: &RayDifferential,
-        state: &mut TraceState,
-    ) -> bool {
-        if self.is_blocked_inside(ray, state) {
-            return true;
-        }
-        let mut deferred = std::mem::take(&mut state.deferred);
-        deferred.clear();
-        let _ = self.bvh.walk(ray, |patch| {
-            deferred.push(patch);
-            ControlFlow::Continue(ray.tfar)
-        });
-        let hit = self.start(ray, differential, state, true).is_some_and(|mut query| {
-            // Last in, first out.
-            deferred.iter().rev().any(|&patch| query.patch(patch))
-        });
-        state.deferred = deferred;
-        hit
-    }
-
     /// Whether an opaque cell answers for the segment.
-    fn is_blocked_inside(&self, ray: &Ray, state: &mut TraceState) -> bool {
+    pub(crate) fn is_blocked_inside(&self, ray: &Ray, state: &mut TraceState) -> bool {
         let blocked = self.occluders.as_ref().is_some_and(|cells| cells.block(ray));
         state.occluder_hits += u64::from(blocked);
         blocked
@@ -191,17 +163,17 @@ impl SurfaceTracer {
         self.occluders.as_ref().map_or((0, 0), |cells| (cells.opaque, cells.bytes()))
     }
 
-    fn start<'a, 's>(
+    pub(crate) fn start<'a, 's>(
         &'a self,
         ray: &Ray,
         differential: &RayDifferential,
         state: &'s mut TraceState,
         any: bool,
-    ) -> Option<Query<'a, 's>> {
+    ) -> Option<RayWalk<'a, 's>> {
         let whole = GridRay::new(ray)?;
         let width = Width::new(ray, differential, self.options.edge.into());
         state.begin();
-        Some(Query { tracer: self, whole, ray: whole, width, state, any, closest: None })
+        Some(RayWalk { tracer: self, whole, ray: whole, width, state, any, closest: None })
     }
 
     fn query<'a, 's>(
@@ -210,7 +182,7 @@ impl SurfaceTracer {
         differential: &RayDifferential,
         state: &'s mut TraceState,
         any: bool,
-    ) -> Option<Query<'a, 's>> {
+    ) -> Option<RayWalk<'a, 's>> {
         let mut query = self.start(ray, differential, state, any)?;
         let _ = self.bvh.walk(ray, |patch| {
             if query.patch(patch) && any {
@@ -253,84 +225,10 @@ impl SurfaceTracer {
         self.options.has_seams()
     }
 
-    fn levels_for(&self, patch: u32, width: f64) -> [u8; 2] {
+    pub(crate) fn levels_for(&self, patch: u32, width: f64) -> [u8; 2] {
         let isotropic = self.options.rates == Rates::Equal;
         let Surface { patches, context, .. } = &*self.surface;
         patches[patch as usize].levels_for(width, self.options.max_level, isotropic, context)
-    }
-
-    /// The rate of an edge as the ray sees it: the same for both patches, in levels of the patch.
-    fn edge_level(&self, patch: u32, edge: usize, ray: &GridRay, width: &Width) -> u8 {
-        let own = &self.surface.patches[patch as usize];
-        let link = own.links[edge][0];
-        match link.meeting {
-            // Halves of an edge agree with the whole.
-            Meeting::OwnIsHalf { .. } if link.patch != NONE => {
-                return self.edge_level(link.patch, usize::from(link.edge), ray, width).max(1) - 1;
-            }
-            _ => {}
-        }
-        let d = ray.ray.direction.as_dvec3();
-        let along = d / d.length_squared();
-        let origin = ray.ray.origin.as_dvec3();
-        let points = self.surface.edge_points(patch, edge).map(|p| p.as_dvec3());
-        let least = own.least_level();
-        let projected = self.options.footprint == FootprintRule::ProjectedEdges;
-        let segments = [0, 1, 2, 3].map(|i| points[i + 1] - points[i]);
-        let longest = segments.map(|s| if projected { (s - s.dot(along) * d).length() } else { s.length() });
-        let longest = longest.into_iter().fold(0.0, f64::max) * segments.len() as f64;
-        // The narrowest footprint beside the edge.
-        let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
-        for p in points {
-            let t = (p - origin).dot(along).clamp(ray.ray.tnear.into(), ray.ray.tfar.into());
-            (from, to) = (from.min(t), to.max(t));
-        }
-        let width = width.least(from, to);
-        if width.is_nan() || width <= 0.0 {
-            return self.options.max_level.max(least);
-        }
-        let fits = |&l: &u8| longest * crate::rate::length::cell(l) <= width;
-        (least..self.options.max_level.max(least)).find(fits).unwrap_or(self.options.max_level.max(least))
-    }
-
-    /// Where the ray meets the two triangles between the corners of a patch first and last: a ray that diverges is narrowest at
-    /// the first, one that converges at the last (Djeu 2011, section 6.8).
-    fn coarse_hits(&self, patch: u32, ray: &Ray) -> Option<[f64; 2]> {
-        let [a, b, c, d] = [0, 1, 2, 3].map(|k| self.surface.corner(patch, k).to_array());
-        let hits = [[a, b, c], [a, c, d]].map(|corners| intersect_triangle(ray, corners));
-        let hits = hits.into_iter().flatten().map(|hit| [f64::from(hit.t); 2]);
-        hits.reduce(|[first, last], [t, _]| [first.min(t), last.max(t)])
-    }
-
-    /// Djeu 2011, section 6.9, with one rate for the whole patch: the footprint is that over all parts the ray enters.
-    fn exact_approach(&self, patch: u32, ray: &GridRay, width: &Width, interval: [f64; 2]) -> [u8; 2] {
-        let mut levels = self.levels_for(patch, width.least(interval[0], interval[1]));
-        let mut frontier = vec![NodeRef::Stored(&self.surface.patches[patch as usize].root)];
-        let mut splits = 0;
-        while splits < levels[0].min(levels[1]) && frontier.len() <= MAX_FRONTIER {
-            let mut parts = Vec::new();
-            let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
-            for node in &frontier {
-                for child in node.quarters(&self.surface) {
-                    if ray.slab.entry(&child.node().bounds, ray.slab.tfar).is_some() {
-                        let [t0, t1] = width.interval(&child.node().bounds);
-                        (first, last) = (first.min(t0), last.max(t1));
-                        parts.push(child);
-                    }
-                }
-            }
-            splits += 1;
-            if parts.is_empty() {
-                break;
-            }
-            let tighter = self.levels_for(patch, width.least(first, last));
-            if tighter == levels {
-                break;
-            }
-            levels = tighter;
-            frontier = parts;
-        }
-        levels
     }
 
     /// The limit surface at a hit.
@@ -352,40 +250,6 @@ impl SurfaceTracer {
     }
 }
 
-/// A node of a tree, or one that was made for the occasion.
-enum NodeRef<'a> {
-    Stored(&'a Node),
-    Made(Arc<[Node; 4]>, usize),
-}
-
-impl<'a> NodeRef<'a> {
-    fn node(&self) -> &Node {
-        match self {
-            Self::Stored(node) => node,
-            Self::Made(nodes, k) => &nodes[*k],
-        }
-    }
-
-    fn quarters(&self, surface: &Surface) -> [NodeRef<'a>; 4] {
-        use crate::patch::Children;
-        let made = |nodes: Box<[Node; 4]>| {
-            let nodes: Arc<[Node; 4]> = Arc::from(nodes);
-            [0, 1, 2, 3].map(|k| NodeRef::Made(Arc::clone(&nodes), k))
-        };
-        match self {
-            Self::Stored(node) => match node.split(&surface.context) {
-                Children::Stored(nodes) => [0, 1, 2, 3].map(|k| NodeRef::Stored(&nodes[k])),
-                Children::Made(nodes) => made(nodes),
-            },
-            // What was made is below the limit no more than its parent: it is not stored either.
-            Self::Made(nodes, k) => match nodes[*k].split(&surface.context) {
-                Children::Made(nodes) => made(nodes),
-                Children::Stored(_) => made(Box::new(nodes[*k].fresh_quarters(&surface.context))),
-            },
-        }
-    }
-}
-
 /// The borders of a patch as a ray sees them, found when needed.
 struct Seams {
     patch: u32,
@@ -393,9 +257,9 @@ struct Seams {
     shifts: [Option<[u8; 2]>; 4],
 }
 
-impl Query<'_, '_> {
+impl RayWalk<'_, '_> {
     /// Looks for hits on a patch; whether there was any so far.
-    fn patch(&mut self, patch: u32) -> bool {
+    pub(crate) fn patch(&mut self, patch: u32) -> bool {
         if self.tracer.options.footprint == FootprintRule::DiagSplit {
             self.diagsplit(patch);
             return self.closest.is_some();

@@ -8,10 +8,10 @@ use crate::{Surface, subdiv::NONE};
 use umbrage_geom::{Aabb, Ray, glam::DVec3, glam::Vec3, winding_number};
 
 /// Share of a cell, on each side, that a ray must stay clear of to count as inside: far more than rounding.
-const MARGIN: f64 = 1e-3;
+const CELL_MARGIN: f64 = 1e-3;
 
 /// Levels of preemptive subdivision for the boxes that cells keep clear of.
-const PREEMPTIVE_LEVELS: u32 = 2;
+const BOX_LEVELS: u32 = 2;
 
 /// A lattice of cells known to be inside or outside.
 pub(crate) struct OpaqueCells {
@@ -50,7 +50,7 @@ impl OpaqueCells {
         let mut this = Self { min, cell, counts, inside: empty.clone(), outside: empty.clone(), opaque: 0 };
         let mut known = empty;
         for patch in &surface.patches {
-            let bounds = patch.root.tight_bounds(PREEMPTIVE_LEVELS, &surface.context);
+            let bounds = patch.root.tight_bounds(BOX_LEVELS, &surface.context);
             this.for_each_in(&bounds, |i| set(&mut known, i));
         }
         let (coarse, _) = surface.tessellate(|_| [0, 0]).ok()?;
@@ -98,8 +98,8 @@ impl OpaqueCells {
     fn for_each_in(&self, aabb: &Aabb, mut visit: impl FnMut(usize)) {
         let at = |p: Vec3, axis: usize| (f64::from(p[axis]) - self.min[axis]) / self.cell[axis];
         let range = [0, 1, 2].map(|axis| {
-            let first = (at(aabb.min, axis) - MARGIN).floor().max(0.0) as usize;
-            let last = (at(aabb.max, axis) + MARGIN).floor().max(0.0) as usize;
+            let first = (at(aabb.min, axis) - CELL_MARGIN).floor().max(0.0) as usize;
+            let last = (at(aabb.max, axis) + CELL_MARGIN).floor().max(0.0) as usize;
             first..=last.min(self.counts[axis] - 1)
         });
         for z in range[2].clone() {
@@ -173,7 +173,7 @@ impl OpaqueCells {
     /// Whether the segment has points well inside a cell.
     fn passes(&self, o: DVec3, d: DVec3, at: [usize; 3], mut t0: f64, mut t1: f64) -> bool {
         for axis in 0..3 {
-            let (low, high) = (at[axis] as f64 + MARGIN, at[axis] as f64 + 1.0 - MARGIN);
+            let (low, high) = (at[axis] as f64 + CELL_MARGIN, at[axis] as f64 + 1.0 - CELL_MARGIN);
             if d[axis] == 0.0 {
                 if o[axis] <= low || o[axis] >= high {
                     return false;

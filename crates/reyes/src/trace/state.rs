@@ -7,11 +7,11 @@ use umbrage_geom::glam::Vec3;
 /// Bytes of a large grid, roughly.
 const GRID_BYTES: usize = 2 << 10;
 /// Most grids that a thread holds.
-const MOST_GRIDS: usize = 1 << 10;
+const MAX_GRIDS: usize = 1 << 10;
 /// Borders whose points are remembered.
-const MOST_BORDERS: usize = 1 << 12;
+const MAX_BORDERS: usize = 1 << 12;
 /// Patches whose rates are remembered during a ray.
-const REMEMBERED_RATES: usize = 64;
+const MEMO_PATCHES: usize = 64;
 
 /// A thread's own memory of a tracer: grids it used lately, found without locking. Answers don't depend on it.
 ///
@@ -29,7 +29,7 @@ pub struct TraceState {
 impl TraceState {
     /// For a tracer with these options.
     pub fn new(options: &TraceOptions) -> Self {
-        let count = (options.cache_bytes / (16 * GRID_BYTES)).clamp(1, MOST_GRIDS);
+        let count = (options.cache_bytes / (16 * GRID_BYTES)).clamp(1, MAX_GRIDS);
         let count = if count.is_power_of_two() { count } else { count.next_power_of_two() / 2 };
         Self {
             grids: RecentGrids { slots: vec![None; count].into() },
@@ -81,23 +81,23 @@ impl RecentGrids {
 /// Rates of patches as the current ray sees them.
 pub(crate) struct LevelMemo {
     stamp: u32,
-    slots: [(u32, u32, Option<[u8; 2]>); REMEMBERED_RATES],
+    slots: [(u32, u32, Option<[u8; 2]>); MEMO_PATCHES],
 }
 
 impl Default for LevelMemo {
     fn default() -> Self {
-        Self { stamp: 1, slots: [(0, 0, None); REMEMBERED_RATES] }
+        Self { stamp: 1, slots: [(0, 0, None); MEMO_PATCHES] }
     }
 }
 
 impl LevelMemo {
     pub(crate) fn get(&self, patch: u32) -> Option<Option<[u8; 2]>> {
-        let (stamp, known, levels) = self.slots[patch as usize % REMEMBERED_RATES];
+        let (stamp, known, levels) = self.slots[patch as usize % MEMO_PATCHES];
         (stamp == self.stamp && known == patch).then_some(levels)
     }
 
     pub(crate) fn set(&mut self, patch: u32, levels: Option<[u8; 2]>) {
-        self.slots[patch as usize % REMEMBERED_RATES] = (self.stamp, patch, levels);
+        self.slots[patch as usize % MEMO_PATCHES] = (self.stamp, patch, levels);
     }
 }
 
@@ -112,8 +112,8 @@ pub(crate) struct RecentBorders {
 
 impl RecentBorders {
     pub(crate) fn get(&mut self, key: BorderKey, make: impl FnOnce() -> [Vec3; 5]) -> [Vec3; 5] {
-        self.slots.resize(MOST_BORDERS, None);
-        let slot = &mut self.slots[cache::hash(&key) as usize % MOST_BORDERS];
+        self.slots.resize(MAX_BORDERS, None);
+        let slot = &mut self.slots[cache::hash(&key) as usize % MAX_BORDERS];
         match slot {
             Some((known, points)) if *known == key => *points,
             _ => slot.insert((key, make())).1,

@@ -16,10 +16,10 @@ use umbrage_geom::glam::{Vec3, vec3};
 const DEFAULT_TRIANGLES: f64 = 77_000.0;
 const BAY: f32 = 5.0;
 /// Half width of the nave, to the axes of its columns.
-const NAVE: f32 = 4.2;
+const NAVE_HALF_WIDTH: f32 = 4.2;
 /// Half width with the aisles, to the middle of the outer walls.
-const OUTER: f32 = 8.4;
-const WALL: f32 = 0.7;
+const AISLE_HALF_WIDTH: f32 = 8.4;
+const WALL_THICKNESS: f32 = 0.7;
 const ARCADE_SPRING: f32 = 5.2;
 const AISLE_SPRING: f32 = 5.2;
 const AISLE_RISE: f32 = 3.4;
@@ -84,7 +84,7 @@ fn build(seed: u32, bays: usize, detail: f64, rich: bool) -> Builder {
     for line in 0..=bays {
         let z = parts.z(line);
         for side in [-1.0, 1.0] {
-            column(&mut parts, vec3(side * NAVE, 0.0, z), side);
+            column(&mut parts, vec3(side * NAVE_HALF_WIDTH, 0.0, z), side);
         }
         transverse_arches(&mut parts, line);
     }
@@ -107,10 +107,10 @@ impl Parts {
 
 /// Tiles of the nave and aisles, and the apse.
 fn floor(parts: &mut Parts, detail: f64) {
-    let (front, back) = (parts.z(0) + WALL, parts.z(parts.bays));
+    let (front, back) = (parts.z(0) + WALL_THICKNESS, parts.z(parts.bays));
     let columns = ((8.0 * detail) as usize).max(2);
     let rows = ((14.0 * detail) as usize).max(2);
-    let width = 2.0 * OUTER + WALL;
+    let width = 2.0 * AISLE_HALF_WIDTH + WALL_THICKNESS;
     let at = |i: usize, j: usize| {
         let (u, v) = (i as f32 / columns as f32, j as f32 / rows as f32);
         vec3((u - 0.5) * width, 0.0, front + (back - front) * v)
@@ -130,7 +130,7 @@ fn floor(parts: &mut Parts, detail: f64) {
     }
     let center = out.vertex(vec3(0.0, 0.0, back));
     let rim = 4 * parts.fine.arc;
-    let reach = NAVE + WALL;
+    let reach = NAVE_HALF_WIDTH + WALL_THICKNESS;
     let first = (0..=rim)
         .map(|k| out.vertex(vec3(0.0, 0.0, back) + heading(-PI * k as f32 / rim as f32) * reach))
         .min()
@@ -144,7 +144,8 @@ fn floor(parts: &mut Parts, detail: f64) {
 fn bay_side(parts: &mut Parts, bay: usize, side: f32) {
     let (z0, z1) = (parts.z(bay), parts.z(bay + 1));
     let middle = (z0 + z1) / 2.0;
-    let inner = WallFrame::new(vec3(side * NAVE, 0.0, middle), vec3(-side, 0.0, 0.0), WALL);
+    let inner =
+        WallFrame::new(vec3(side * NAVE_HALF_WIDTH, 0.0, middle), vec3(-side, 0.0, 0.0), WALL_THICKNESS);
     let half = BAY / 2.0;
     // Arcade: the opening reaches down to the capitals.
     let arch = Outline::pointed(half - 0.55, ARCADE_SPRING, ARCADE_SPRING, parts.fine.arc);
@@ -153,48 +154,52 @@ fn bay_side(parts: &mut Parts, bay: usize, side: f32) {
         &mut parts.ribs,
         &inner.path(&arch.points[..], 0.0),
         inner.normal,
-        [0.13, WALL * 0.5 + 0.1],
+        [0.13, WALL_THICKNESS * 0.5 + 0.1],
         false,
         parts.fine.rich,
     );
     let [course_low, course_high] = [STRING_COURSE - 0.12, STRING_COURSE + 0.1];
-    let x = [side * (NAVE - WALL * 0.5 - 0.12), side * (NAVE - WALL * 0.5)];
+    let x = [
+        side * (NAVE_HALF_WIDTH - WALL_THICKNESS * 0.5 - 0.12),
+        side * (NAVE_HALF_WIDTH - WALL_THICKNESS * 0.5),
+    ];
     parts.walls.cuboid(vec3(x[0].min(x[1]), course_low, z1), vec3(x[0].max(x[1]), course_high, z0));
     // Clerestory.
     let window = Outline::pointed(1.15, STRING_COURSE + 0.9, NAVE_SPRING + 1.0, parts.fine.arc);
     wall_with_opening(&mut parts.walls, &inner, [-half, STRING_COURSE], [half, ROOF], &window);
     tracery(&mut parts.tracery, &inner, 1.15, [STRING_COURSE + 0.9, NAVE_SPRING + 1.0], parts.fine);
     // Outer wall of the aisle.
-    let outer = WallFrame::new(vec3(side * OUTER, 0.0, middle), vec3(-side, 0.0, 0.0), WALL);
+    let outer =
+        WallFrame::new(vec3(side * AISLE_HALF_WIDTH, 0.0, middle), vec3(-side, 0.0, 0.0), WALL_THICKNESS);
     let window = Outline::pointed(1.25, 1.9, 5.0, parts.fine.arc);
     wall_with_opening(&mut parts.walls, &outer, [-half, 0.0], [half, STRING_COURSE - 0.05], &window);
     tracery(&mut parts.tracery, &outer, 1.25, [1.9, 5.0], parts.fine);
-    let aisle = vec3(side * (NAVE + OUTER) / 2.0, AISLE_SPRING, middle);
-    let reach = [(OUTER - NAVE) / 2.0, half];
+    let aisle = vec3(side * (NAVE_HALF_WIDTH + AISLE_HALF_WIDTH) / 2.0, AISLE_SPRING, middle);
+    let reach = [(AISLE_HALF_WIDTH - NAVE_HALF_WIDTH) / 2.0, half];
     vault(&mut parts.vaults, aisle, reach, AISLE_RISE, parts.cells);
     diagonal_ribs(parts, aisle, reach, AISLE_RISE);
-    let foot = vec3(side * (OUTER + WALL / 2.0), 0.0, z0);
+    let foot = vec3(side * (AISLE_HALF_WIDTH + WALL_THICKNESS / 2.0), 0.0, z0);
     let end = foot + vec3(side * 1.3, STRING_COURSE - 1.0, 0.0);
     let [low, high] = [foot.min(end) - Vec3::Z * 0.4, foot.max(end) + Vec3::Z * 0.4];
     parts.walls.cuboid(low, high);
     // The aisle's roof leans against the nave.
-    let eaves = vec3(side * (OUTER + WALL), STRING_COURSE - 0.05, 0.0);
-    let top = vec3(side * NAVE, STRING_COURSE + 0.8, 0.0);
+    let eaves = vec3(side * (AISLE_HALF_WIDTH + WALL_THICKNESS), STRING_COURSE - 0.05, 0.0);
+    let top = vec3(side * NAVE_HALF_WIDTH, STRING_COURSE + 0.8, 0.0);
     let [a, b] = if side > 0.0 { [z0, z1] } else { [z1, z0] };
     parts.vaults.face([eaves + Vec3::Z * a, eaves + Vec3::Z * b, top + Vec3::Z * b, top + Vec3::Z * a]);
 }
 
 fn nave_vault(parts: &mut Parts, bay: usize) {
     let center = vec3(0.0, NAVE_SPRING, (parts.z(bay) + parts.z(bay + 1)) / 2.0);
-    vault(&mut parts.vaults, center, [NAVE, BAY / 2.0], NAVE_RISE, parts.cells);
-    diagonal_ribs(parts, center, [NAVE, BAY / 2.0], NAVE_RISE);
+    vault(&mut parts.vaults, center, [NAVE_HALF_WIDTH, BAY / 2.0], NAVE_RISE, parts.cells);
+    diagonal_ribs(parts, center, [NAVE_HALF_WIDTH, BAY / 2.0], NAVE_RISE);
     let boss = center + Vec3::Y * (NAVE_RISE - 0.35);
     let profile = [[0.02, 0.0], [0.28, 0.08], [0.3, 0.2], [0.2, 0.34]];
     parts.ribs.lathe(boss, &profile, parts.sides);
     // The gable roof above.
     let (z0, z1) = (parts.z(bay), parts.z(bay + 1));
     for side in [-1.0, 1.0] {
-        let eaves = vec3(side * (NAVE + WALL), ROOF - 0.3, 0.0);
+        let eaves = vec3(side * (NAVE_HALF_WIDTH + WALL_THICKNESS), ROOF - 0.3, 0.0);
         let ridge = vec3(0.0, ROOF + 4.0, 0.0);
         let [a, b] = if side > 0.0 { [z0, z1] } else { [z1, z0] };
         parts.vaults.face([
@@ -224,11 +229,11 @@ fn diagonal_ribs(parts: &mut Parts, center: Vec3, reach: [f32; 2], rise: f32) {
 /// Arches across nave and aisles on the borders between bays.
 fn transverse_arches(parts: &mut Parts, line: usize) {
     let z = parts.z(line);
-    let aisle = (NAVE + OUTER) / 2.0;
+    let aisle = (NAVE_HALF_WIDTH + AISLE_HALF_WIDTH) / 2.0;
     let spans = [
-        (0.0, NAVE, NAVE_SPRING, NAVE_RISE, 0.26),
-        (aisle, OUTER - aisle, AISLE_SPRING, AISLE_RISE, 0.2),
-        (-aisle, OUTER - aisle, AISLE_SPRING, AISLE_RISE, 0.2),
+        (0.0, NAVE_HALF_WIDTH, NAVE_SPRING, NAVE_RISE, 0.26),
+        (aisle, AISLE_HALF_WIDTH - aisle, AISLE_SPRING, AISLE_RISE, 0.2),
+        (-aisle, AISLE_HALF_WIDTH - aisle, AISLE_SPRING, AISLE_RISE, 0.2),
     ];
     for (x, half, spring, rise, width) in spans {
         let n = 4 * parts.fine.arc;
@@ -265,7 +270,7 @@ fn column(parts: &mut Parts, foot: Vec3, side: f32) {
         let at = foot + heading(PI * 0.5 * k as f32) * 0.5;
         out.lathe(at, &[[0.2, 0.5], [0.13, 0.65], [0.12, 4.4], [0.2, 4.75], [0.22, 4.9]], thin);
     }
-    let shaft = foot - Vec3::X * (side * (WALL * 0.5 + 0.02));
+    let shaft = foot - Vec3::X * (side * (WALL_THICKNESS * 0.5 + 0.02));
     let rise = [
         [0.24, ARCADE_SPRING],
         [0.16, ARCADE_SPRING + 0.25],
@@ -276,7 +281,7 @@ fn column(parts: &mut Parts, foot: Vec3, side: f32) {
         [0.36, NAVE_SPRING + 0.15],
     ];
     out.lathe(shaft, &rise, thin.max(6));
-    let respond = foot + Vec3::X * (side * (OUTER - NAVE - WALL * 0.5));
+    let respond = foot + Vec3::X * (side * (AISLE_HALF_WIDTH - NAVE_HALF_WIDTH - WALL_THICKNESS * 0.5));
     out.lathe(
         respond,
         &[[0.34, 0.0], [0.34, 0.4], [0.2, 0.6], [0.2, 4.5], [0.36, 5.0], [0.36, AISLE_SPRING]],
@@ -287,13 +292,13 @@ fn column(parts: &mut Parts, foot: Vec3, side: f32) {
 /// The wall at the portal with a rose window, the aisles' ends with windows.
 fn west_front(parts: &mut Parts) {
     let arc = parts.fine.arc;
-    let z = parts.z(0) + WALL / 2.0;
-    let front = WallFrame::new(vec3(0.0, 0.0, z), Vec3::NEG_Z, WALL);
+    let z = parts.z(0) + WALL_THICKNESS / 2.0;
+    let front = WallFrame::new(vec3(0.0, 0.0, z), Vec3::NEG_Z, WALL_THICKNESS);
     let portal = Outline::pointed(1.5, 0.0, 2.6, arc);
-    wall_with_opening(&mut parts.walls, &front, [-NAVE, 0.0], [NAVE, 7.2], &portal);
+    wall_with_opening(&mut parts.walls, &front, [-NAVE_HALF_WIDTH, 0.0], [NAVE_HALF_WIDTH, 7.2], &portal);
     rib(
         &mut parts.ribs,
-        &front.path(&portal.points, WALL / 2.0),
+        &front.path(&portal.points, WALL_THICKNESS / 2.0),
         front.normal,
         [0.16, 0.16],
         false,
@@ -302,15 +307,19 @@ fn west_front(parts: &mut Parts) {
     let rose = [0.0, 11.2];
     let radius = 2.9;
     let circle = Outline::circle(rose, radius, 8 * arc);
-    wall_with_opening(&mut parts.walls, &front, [-NAVE, 7.2], [NAVE, ROOF], &circle);
+    wall_with_opening(&mut parts.walls, &front, [-NAVE_HALF_WIDTH, 7.2], [NAVE_HALF_WIDTH, ROOF], &circle);
     masonry::rose(&mut parts.tracery, &front, rose, radius, 12, parts.fine);
     for (z, outwards) in [(parts.z(0), 1.0), (parts.z(parts.bays), -1.0)] {
         gable(&mut parts.walls, z, outwards);
     }
     for side in [-1.0, 1.0] {
-        for (z, normal) in [(z, Vec3::NEG_Z), (parts.z(parts.bays) - WALL / 2.0, Vec3::Z)] {
-            let end = WallFrame::new(vec3(side * (NAVE + OUTER) / 2.0, 0.0, z), normal, WALL);
-            let half = (OUTER - NAVE) / 2.0;
+        for (z, normal) in [(z, Vec3::NEG_Z), (parts.z(parts.bays) - WALL_THICKNESS / 2.0, Vec3::Z)] {
+            let end = WallFrame::new(
+                vec3(side * (NAVE_HALF_WIDTH + AISLE_HALF_WIDTH) / 2.0, 0.0, z),
+                normal,
+                WALL_THICKNESS,
+            );
+            let half = (AISLE_HALF_WIDTH - NAVE_HALF_WIDTH) / 2.0;
             let window = Outline::pointed(1.1, 2.0, 5.0, arc);
             wall_with_opening(&mut parts.walls, &end, [-half, 0.0], [half, STRING_COURSE], &window);
             tracery(&mut parts.tracery, &end, 1.1, [2.0, 5.0], parts.fine);
@@ -320,27 +329,29 @@ fn west_front(parts: &mut Parts) {
 
 /// The wall below the end of the nave's roof and the piers at the building's corners.
 fn gable(out: &mut Builder, z: f32, outwards: f32) {
-    let reach = NAVE + WALL;
+    let reach = NAVE_HALF_WIDTH + WALL_THICKNESS;
     let corners = [vec3(-reach, ROOF - 0.3, 0.0), vec3(reach, ROOF - 0.3, 0.0), vec3(0.0, ROOF + 4.0, 0.0)];
-    for (depth, turned) in [(0.0, outwards > 0.0), (WALL, outwards < 0.0)] {
+    for (depth, turned) in [(0.0, outwards > 0.0), (WALL_THICKNESS, outwards < 0.0)] {
         let v = corners.map(|p| out.vertex(p + Vec3::Z * (z + outwards * depth)));
         if turned { out.triangle(v[0], v[2], v[1]) } else { out.triangle(v[0], v[1], v[2]) }
     }
     for side in [-1.0, 1.0] {
         let [near, far] =
             [reach, 0.0].map(|x| vec3(side * x, if x > 0.0 { ROOF - 0.3 } else { ROOF + 4.0 }, z));
-        let depth = Vec3::Z * (outwards * WALL);
+        let depth = Vec3::Z * (outwards * WALL_THICKNESS);
         let edge = [near, near + depth, far + depth, far];
         out.face(if side * outwards > 0.0 { [edge[3], edge[2], edge[1], edge[0]] } else { edge });
-        let gap = [(OUTER + WALL, -0.05), (NAVE, 0.8), (NAVE, -0.05)];
-        let v = gap.map(|(x, y)| out.vertex(vec3(side * x, STRING_COURSE + y, z + outwards * WALL * 0.5)));
+        let gap =
+            [(AISLE_HALF_WIDTH + WALL_THICKNESS, -0.05), (NAVE_HALF_WIDTH, 0.8), (NAVE_HALF_WIDTH, -0.05)];
+        let v = gap
+            .map(|(x, y)| out.vertex(vec3(side * x, STRING_COURSE + y, z + outwards * WALL_THICKNESS * 0.5)));
         if side * outwards > 0.0 {
             out.triangle(v[0], v[1], v[2])
         } else {
             out.triangle(v[0], v[2], v[1])
         }
-        for (x, top) in [(NAVE, ROOF - 0.1), (OUTER, STRING_COURSE - 0.05)] {
-            let pier = vec3(side * x, 0.0, z + outwards * WALL * 0.5);
+        for (x, top) in [(NAVE_HALF_WIDTH, ROOF - 0.1), (AISLE_HALF_WIDTH, STRING_COURSE - 0.05)] {
+            let pier = vec3(side * x, 0.0, z + outwards * WALL_THICKNESS * 0.5);
             // Outside the rooms, so that only their outer corners show.
             let [near, far] = [
                 pier + vec3(side * 0.3, 0.0, outwards * -0.3),
@@ -355,14 +366,14 @@ fn gable(out: &mut Builder, z: f32, outwards: f32) {
 fn apse(parts: &mut Parts) {
     const FACES: usize = 5;
     let back = vec3(0.0, 0.0, parts.z(parts.bays));
-    let corner = |k: usize| back + heading(-PI * k as f32 / FACES as f32) * NAVE;
+    let corner = |k: usize| back + heading(-PI * k as f32 / FACES as f32) * NAVE_HALF_WIDTH;
     let n = 2 * parts.fine.arc;
     for k in 0..FACES {
         let (a, b) = (corner(k), corner(k + 1));
         let middle = (a + b) / 2.0;
         let inwards = (back - middle).normalize();
         let half = a.distance(b) / 2.0;
-        let frame = WallFrame::new(middle - inwards * (WALL / 2.0), inwards, WALL);
+        let frame = WallFrame::new(middle - inwards * (WALL_THICKNESS / 2.0), inwards, WALL_THICKNESS);
         let window = Outline::pointed(half * 0.58, 2.6, NAVE_SPRING - 1.0, parts.fine.arc);
         // The outer faces overlap at the corners, so that no gap opens there.
         wall_with_opening(&mut parts.walls, &frame, [-half, 0.0], [half, NAVE_SPRING + 3.2], &window);

@@ -126,7 +126,7 @@ impl Shape {
 const BLOCK: i32 = 8;
 
 /// How near a vertex may come to the end of its lattice edge, as a fraction of it.
-const KEEP_AWAY: f64 = 0.06;
+const MIN_EDGE_SHARE: f64 = 0.06;
 
 /// The body-centred lattice: points with all coordinates even, and points with all odd, in units of half a spacing.
 struct Lattice {
@@ -316,7 +316,7 @@ impl Surface {
         // Lattice points lie within a few thousand units of 0, their sums within 20 bits.
         let key = (p + q + (1 << 19)).to_array().into_iter().fold(0, |key, x| key << 20 | x as u64);
         *self.on_edges.entry(key).or_insert_with(|| {
-            let t = (vp / (vp - vq)).clamp(KEEP_AWAY, 1.0 - KEEP_AWAY);
+            let t = (vp / (vp - vq)).clamp(MIN_EDGE_SHARE, 1.0 - MIN_EDGE_SHARE);
             let (a, b) = (lattice.point(p), lattice.point(q));
             positions.push(a + (b - a) * t);
             positions.len() as u32 - 1

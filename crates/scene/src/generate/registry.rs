@@ -34,7 +34,7 @@ const fn choice(
 }
 
 /// What most generators have in common: open, seeded, of selectable size.
-const OPEN: GeneratorInfo = GeneratorInfo {
+const OPEN_MESH: GeneratorInfo = GeneratorInfo {
     name: "",
     summary: "",
     parameters: &[],
@@ -46,9 +46,10 @@ const OPEN: GeneratorInfo = GeneratorInfo {
     build: shapes::plane,
 };
 
-const CLOSED: GeneratorInfo = GeneratorInfo { closed: true, ..OPEN };
+const CLOSED_MESH: GeneratorInfo = GeneratorInfo { closed: true, ..OPEN_MESH };
 
-const CONTROL: GeneratorInfo = GeneratorInfo { fixed: true, seeded: false, min_triangles: 1, ..OPEN };
+const CONTROL_MESH: GeneratorInfo =
+    GeneratorInfo { fixed: true, seeded: false, min_triangles: 1, ..OPEN_MESH };
 
 pub const GENERATORS: &[GeneratorInfo] = &[
     GeneratorInfo {
@@ -57,7 +58,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         parameters: &[number("leaf-size", 1.0, 0.2, 5.0, "of the leaves, in proportion to the default")],
         default_triangles: 500_000,
         build: bush::bush,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "tentacles",
@@ -65,7 +66,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         parameters: &[number("curl", 1.0, 0.0, 3.0, "how far the tips roll up")],
         default_triangles: 3_800_000,
         build: strands::tentacles,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "bamboo",
@@ -74,7 +75,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 5_200_000,
         min_triangles: 4000,
         build: bamboo::bamboo,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "particles",
@@ -86,7 +87,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 200_000,
         min_triangles: 4,
         build: particles::particles,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "hairball",
@@ -94,7 +95,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         parameters: &[number("thickness", 1.0, 0.1, 5.0, "of the hairs, in proportion to the default")],
         default_triangles: 2_880_000,
         build: strands::hairball,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "city",
@@ -103,7 +104,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 879_000,
         min_triangles: 20_000,
         build: city::city,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "cathedral",
@@ -112,7 +113,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 77_000,
         min_triangles: 30_000,
         build: cathedral::cathedral,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "dragonish",
@@ -120,7 +121,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 100_000,
         min_triangles: 3000,
         build: creature::dragonish,
-        ..CLOSED
+        ..CLOSED_MESH
     },
     GeneratorInfo {
         name: "rocks",
@@ -129,7 +130,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 120_000,
         min_triangles: 100,
         build: lumps::rocks,
-        ..CLOSED
+        ..CLOSED_MESH
     },
     GeneratorInfo {
         name: "blob",
@@ -138,7 +139,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 70_000,
         min_triangles: 12,
         build: lumps::blob,
-        ..CLOSED
+        ..CLOSED_MESH
     },
     GeneratorInfo {
         name: "knots",
@@ -151,7 +152,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 200_000,
         min_triangles: 6000,
         build: knots::knots,
-        ..CLOSED
+        ..CLOSED_MESH
     },
     GeneratorInfo {
         name: "stage",
@@ -159,7 +160,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         default_triangles: 240_000,
         min_triangles: 10_000,
         build: stage::stage,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "plane",
@@ -172,7 +173,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         min_triangles: 2,
         seeded: false,
         build: shapes::plane,
-        ..OPEN
+        ..OPEN_MESH
     },
     GeneratorInfo {
         name: "sphere",
@@ -181,7 +182,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         min_triangles: 12,
         seeded: false,
         build: shapes::sphere,
-        ..CLOSED
+        ..CLOSED_MESH
     },
     GeneratorInfo {
         name: "box",
@@ -195,7 +196,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         min_triangles: 12,
         seeded: false,
         build: shapes::cuboid,
-        ..CLOSED
+        ..CLOSED_MESH
     },
     GeneratorInfo {
         name: "cube-sphere",
@@ -203,7 +204,7 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         closed: true,
         default_triangles: 12,
         build: control::cube_sphere,
-        ..CONTROL
+        ..CONTROL_MESH
     },
     GeneratorInfo {
         name: "creased-cube",
@@ -212,14 +213,14 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         closed: true,
         default_triangles: 12,
         build: control::creased_cube,
-        ..CONTROL
+        ..CONTROL_MESH
     },
     GeneratorInfo {
         name: "open-patch",
         summary: "control mesh of 15 quads with an outer boundary and a hole, with texture coordinates",
         default_triangles: 30,
         build: control::open_patch,
-        ..CONTROL
+        ..CONTROL_MESH
     },
     GeneratorInfo {
         name: "star-tube",
@@ -228,6 +229,6 @@ pub const GENERATORS: &[GeneratorInfo] = &[
         closed: true,
         default_triangles: 98,
         build: control::star_tube,
-        ..CONTROL
+        ..CONTROL_MESH
     },
 ];

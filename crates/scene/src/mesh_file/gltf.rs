@@ -2,7 +2,7 @@
 //!
 //! Read by the `gltf` crate. It trusts sizes, strides and types of accessors, so they are checked before it reads them.
 
-use super::Flaw;
+use super::ContentError;
 use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::{Mode, Primitive};
 use gltf::{Accessor, Document, Node, Semantic, buffer};
@@ -18,7 +18,7 @@ const MAX_IMPLICIT: usize = 1 << 24;
 const MAX_DEPTH: usize = 256;
 
 /// Reads a document; `folder` is where its external buffers are.
-pub(super) fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<TriangleMesh, Flaw> {
+pub(super) fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<TriangleMesh, ContentError> {
     let (document, mut blob) = open(bytes)?;
     let buffers = document
         .buffers()
@@ -30,7 +30,10 @@ pub(super) fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<TriangleMesh,
         visited: vec![false; document.nodes().count()],
     };
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
-        return Err(Flaw::content(format!("it has no scene ({} meshes)", document_meshes(&document))));
+        return Err(ContentError::content(format!(
+            "it has no scene ({} meshes)",
+            document_meshes(&document)
+        )));
     };
     for node in scene.nodes() {
         reader.node(&node, DMat4::IDENTITY, 0)?;
@@ -40,14 +43,14 @@ pub(super) fn parse(bytes: &[u8], folder: Option<&Path>) -> Result<TriangleMesh,
 }
 
 /// Parses and validates. The library's validation looks up the accessor of positions before it knows that it exists.
-fn open(bytes: &[u8]) -> Result<(Document, Option<Vec<u8>>), Flaw> {
-    let invalid = |error: gltf::Error| Flaw::content(format!("not valid glTF: {error}"));
+fn open(bytes: &[u8]) -> Result<(Document, Option<Vec<u8>>), ContentError> {
+    let invalid = |error: gltf::Error| ContentError::content(format!("not valid glTF: {error}"));
     let gltf::Gltf { document, blob } = gltf::Gltf::from_slice_without_validation(bytes).map_err(invalid)?;
     let json = document.into_json();
     for (m, mesh) in json.meshes.iter().enumerate() {
         let indices = mesh.primitives.iter().flat_map(|p| p.attributes.values());
         if let Some(missing) = indices.map(|i| i.value()).find(|&i| i >= json.accessors.len()) {
-            return Err(Flaw::content(format!("mesh {m}: there is no accessor {missing}")));
+            return Err(ContentError::content(format!("mesh {m}: there is no accessor {missing}")));
         }
     }
     Ok((Document::from_json(json).map_err(invalid)?, blob))
@@ -61,28 +64,29 @@ fn read_buffer(
     buffer: &buffer::Buffer<'_>,
     folder: Option<&Path>,
     blob: &mut Option<Vec<u8>>,
-) -> Result<Vec<u8>, Flaw> {
+) -> Result<Vec<u8>, ContentError> {
     let index = buffer.index();
     let data = match buffer.source() {
         buffer::Source::Bin => {
-            blob.take().ok_or_else(|| Flaw::content(format!("buffer {index} has no binary chunk")))?
+            blob.take().ok_or_else(|| ContentError::content(format!("buffer {index} has no binary chunk")))?
         }
         buffer::Source::Uri(uri) if uri.starts_with("data:") => {
             buffer::Data::from_source(buffer.source(), None)
-                .map_err(|e| Flaw::content(format!("buffer {index}: data URI: {e}")))?
+                .map_err(|e| ContentError::content(format!("buffer {index}: data URI: {e}")))?
                 .0
         }
         buffer::Source::Uri(uri) => {
-            let path = percent_decoded(uri)
-                .filter(|p| !p.contains("://"))
-                .ok_or_else(|| Flaw::content(format!("buffer {index}: '{uri}' is not a relative path")))?;
+            let path = percent_decoded(uri).filter(|p| !p.contains("://")).ok_or_else(|| {
+                ContentError::content(format!("buffer {index}: '{uri}' is not a relative path"))
+            })?;
             let path = folder.unwrap_or(Path::new("")).join(path);
-            std::fs::read(&path)
-                .map_err(|e| Flaw::content(format!("buffer {index}: cannot read {}: {e}", path.display())))?
+            std::fs::read(&path).map_err(|e| {
+                ContentError::content(format!("buffer {index}: cannot read {}: {e}", path.display()))
+            })?
         }
     };
     if data.len() < buffer.length() {
-        return Err(Flaw::content(format!(
+        return Err(ContentError::content(format!(
             "buffer {index} should have {} bytes, but has {}",
             buffer.length(),
             data.len()
@@ -112,13 +116,13 @@ struct SceneReader {
 }
 
 impl SceneReader {
-    fn node(&mut self, node: &Node<'_>, parent: DMat4, depth: usize) -> Result<(), Flaw> {
+    fn node(&mut self, node: &Node<'_>, parent: DMat4, depth: usize) -> Result<(), ContentError> {
         // A tree, says the format; anything else could go round in circles.
         if std::mem::replace(&mut self.visited[node.index()], true) {
-            return Err(Flaw::content(format!("node {} has more than one parent", node.index())));
+            return Err(ContentError::content(format!("node {} has more than one parent", node.index())));
         }
         if depth > MAX_DEPTH {
-            return Err(Flaw::content(format!("nodes are nested more than {MAX_DEPTH} deep")));
+            return Err(ContentError::content(format!("nodes are nested more than {MAX_DEPTH} deep")));
         }
         let world = parent * Mat4::from_cols_array_2d(&node.transform().matrix()).as_dmat4();
         if let Some(mesh) = node.mesh() {
@@ -127,7 +131,7 @@ impl SceneReader {
             for primitive in mesh.primitives() {
                 let place = format!("mesh {} primitive {}", mesh.index(), primitive.index());
                 self.primitive(&primitive, &name, world)
-                    .map_err(|message| Flaw::content(format!("{place}: {message}")))?;
+                    .map_err(|message| ContentError::content(format!("{place}: {message}")))?;
             }
         }
         node.children().try_for_each(|child| self.node(&child, world, depth + 1))

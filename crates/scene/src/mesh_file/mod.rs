@@ -16,7 +16,7 @@ use umbrage_geom::{MeshError, PolygonMesh, TriangleMesh};
 
 /// Points to bake at.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Points {
+pub struct PointCloud {
     /// Where, world units.
     pub positions: Vec<[f32; 3]>,
     /// One unit normal a point.
@@ -79,13 +79,13 @@ pub enum MeshFileError {
 
 /// What is wrong with the contents of a file, before it is known which file.
 #[derive(Debug)]
-pub(crate) enum Flaw {
+pub(crate) enum ContentError {
     Line(usize, String),
     Content(String),
     Mesh(MeshError),
 }
 
-impl Flaw {
+impl ContentError {
     fn content(message: impl Into<String>) -> Self {
         Self::Content(message.into())
     }
@@ -100,7 +100,7 @@ impl Flaw {
     }
 }
 
-impl From<MeshError> for Flaw {
+impl From<MeshError> for ContentError {
     fn from(error: MeshError) -> Self {
         Self::Mesh(error)
     }
@@ -155,7 +155,7 @@ pub fn read_polygons(path: &Path) -> Result<PolygonMesh, MeshFileError> {
 ///
 /// # Errors
 /// [`MeshFileError`], also if there is no point, no normal (`nx ny nz`), or a normal without length.
-pub fn read_points(path: &Path) -> Result<Points, MeshFileError> {
+pub fn read_points(path: &Path) -> Result<PointCloud, MeshFileError> {
     known_extension(path, &["ply"], ".ply")?;
     let bytes = read_file(path)?;
     ply::parse_points(&bytes).map_err(|flaw| flaw.at(path))
@@ -208,15 +208,15 @@ fn read_file(path: &Path) -> Result<Vec<u8>, MeshFileError> {
 /// Control characters, line ends among them, become spaces, runs of spaces one, and long messages are cut: garbage must
 /// not reach a terminal.
 pub(crate) fn one_line(message: &str) -> String {
-    const MAX_MESSAGE_CHARACTERS: usize = 240;
+    const MAX_MESSAGE_CHARS: usize = 240;
     let mut line = String::new();
     for word in message.split(|c: char| c.is_whitespace() || c.is_control()).filter(|w| !w.is_empty()) {
         if !line.is_empty() {
             line.push(' ');
         }
         line.push_str(word);
-        if line.len() > MAX_MESSAGE_CHARACTERS {
-            let end = (0..=MAX_MESSAGE_CHARACTERS).rev().find(|&i| line.is_char_boundary(i)).unwrap_or(0);
+        if line.len() > MAX_MESSAGE_CHARS {
+            let end = (0..=MAX_MESSAGE_CHARS).rev().find(|&i| line.is_char_boundary(i)).unwrap_or(0);
             line.truncate(end);
             line.push_str("...");
             break;

@@ -5,7 +5,7 @@
 //! Our own reader, because `tobj` splits vertices at object borders, renumbers them, and doesn't name lines; tests
 //! compare with it.
 
-use super::{Flaw, tags::Tags};
+use super::{ContentError, tags::Tags};
 use umbrage_geom::mesh::{MAX_COORDINATE, MAX_ELEMENTS};
 use umbrage_geom::{FaceObject, MeshError, PolygonMesh, TriangleMesh};
 
@@ -27,7 +27,7 @@ pub(super) struct Obj {
     objects: Vec<(String, usize)>,
     tags: Tags,
     /// Indices beyond what was declared so far, to be looked at again at the end.
-    forward: Vec<Forward>,
+    forward: Vec<ForwardIndex>,
 }
 
 #[derive(Clone, Copy)]
@@ -37,14 +37,14 @@ enum Stream {
     Normal,
 }
 
-struct Forward {
+struct ForwardIndex {
     line: usize,
     stream: Stream,
     index: u32,
 }
 
 /// Reads a whole file.
-pub(super) fn parse(bytes: &[u8]) -> Result<Obj, Flaw> {
+pub(super) fn parse(bytes: &[u8]) -> Result<Obj, ContentError> {
     let mut obj = Obj::default();
     let mut joined = Vec::new();
     let mut lines = bytes.split(|&b| b == b'\n').enumerate();
@@ -66,7 +66,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Obj, Flaw> {
             }
             line = &joined;
         }
-        obj.statement(line, number).map_err(|message| Flaw::Line(number, message))?;
+        obj.statement(line, number).map_err(|message| ContentError::Line(number, message))?;
     }
     obj.check_forward()?;
     if obj.positions.len() > MAX_ELEMENTS {
@@ -161,7 +161,7 @@ impl Obj {
         }
         let index = index as u32;
         if index as usize >= count {
-            self.forward.push(Forward { line, stream, index });
+            self.forward.push(ForwardIndex { line, stream, index });
         }
         Ok(index)
     }
@@ -174,20 +174,20 @@ impl Obj {
         }
     }
 
-    fn check_forward(&self) -> Result<(), Flaw> {
-        for &Forward { line, stream, index } in &self.forward {
+    fn check_forward(&self) -> Result<(), ContentError> {
+        for &ForwardIndex { line, stream, index } in &self.forward {
             let count = self.count(stream);
             if index as usize >= count {
                 let name = stream.name();
                 let message =
                     format!("{name} index {} is past the end (the file has {count})", index as u64 + 1);
-                return Err(Flaw::Line(line, message));
+                return Err(ContentError::Line(line, message));
             }
         }
         Ok(())
     }
 
-    pub(super) fn into_triangles(self) -> Result<TriangleMesh, Flaw> {
+    pub(super) fn into_triangles(self) -> Result<TriangleMesh, ContentError> {
         let mut mesh = TriangleMesh::default();
         let triangles: usize = self.face_sizes.iter().map(|&n| n as usize - 2).sum();
         if triangles > MAX_ELEMENTS {
@@ -243,7 +243,7 @@ impl Obj {
         }
     }
 
-    pub(super) fn into_polygons(self) -> Result<PolygonMesh, Flaw> {
+    pub(super) fn into_polygons(self) -> Result<PolygonMesh, ContentError> {
         let corner_uvs = (0..if self.corner_uvs.is_empty() { 0 } else { self.corners.len() })
             .map(|c| match self.corner_uvs.get(c) {
                 Some(&uv) if uv != NONE => self.uvs[uv as usize],

@@ -3,7 +3,7 @@
 //! The header is read by `ply-rs-bw`. The payload is read here: straight into our arrays, with errors that name the
 //! element, and checked against the size of the file before anything is allocated.
 
-use super::{Flaw, PlyVertices, Points};
+use super::{ContentError, PlyVertices, PointCloud};
 use ply_rs_bw::parser::{ParseError, Parser, Reader};
 use ply_rs_bw::ply::{DefaultElement, ElementDef, Encoding, PropertyType, ScalarType};
 use umbrage_geom::TriangleMesh;
@@ -54,9 +54,10 @@ struct Contents {
 }
 
 /// Reads vertices and faces.
-pub(super) fn parse_mesh(bytes: &[u8]) -> Result<TriangleMesh, Flaw> {
+pub(super) fn parse_mesh(bytes: &[u8]) -> Result<TriangleMesh, ContentError> {
     let Contents { vertices, faces, .. } = parse(bytes)?;
-    let faces = faces.ok_or_else(|| Flaw::content("it has no element 'face' (is it a point cloud?)"))?;
+    let faces =
+        faces.ok_or_else(|| ContentError::content("it has no element 'face' (is it a point cloud?)"))?;
     let positions = vertices.positions()?;
     let mut mesh = TriangleMesh { positions, triangles: faces.triangles, ..TriangleMesh::default() };
     // Before corners are looked up.
@@ -83,12 +84,15 @@ pub(super) fn parse_mesh(bytes: &[u8]) -> Result<TriangleMesh, Flaw> {
 }
 
 /// Reads vertices as they are, with comments, normals and `ao`.
-pub(super) fn parse_vertices(bytes: &[u8]) -> Result<PlyVertices, Flaw> {
+pub(super) fn parse_vertices(bytes: &[u8]) -> Result<PlyVertices, ContentError> {
     let Contents { vertices, faces, comments } = parse(bytes)?;
     let positions = vertices.positions()?;
     let faces = faces.unwrap_or_default();
     if let Some(&v) = faces.triangles.iter().flatten().find(|&&v| v as usize >= positions.len()) {
-        return Err(Flaw::content(format!("a face uses vertex {v}, but there are only {}", positions.len())));
+        return Err(ContentError::content(format!(
+            "a face uses vertex {v}, but there are only {}",
+            positions.len()
+        )));
     }
     Ok(PlyVertices {
         normals: if vertices.has_all(3..6) { vertices.column::<3>(3) } else { Vec::new() },
@@ -105,32 +109,34 @@ pub(super) fn parse_vertices(bytes: &[u8]) -> Result<PlyVertices, Flaw> {
 }
 
 /// Reads vertices with normals.
-pub(super) fn parse_points(bytes: &[u8]) -> Result<Points, Flaw> {
+pub(super) fn parse_points(bytes: &[u8]) -> Result<PointCloud, ContentError> {
     let vertices = parse(bytes)?.vertices;
     let positions = vertices.positions()?;
     if positions.is_empty() {
-        return Err(Flaw::content("it has no points"));
+        return Err(ContentError::content("it has no points"));
     }
     umbrage_geom::mesh::validate_positions(&positions)?;
     if !vertices.has_all(3..6) {
-        return Err(Flaw::content("its points have no normals (properties nx, ny and nz)"));
+        return Err(ContentError::content("its points have no normals (properties nx, ny and nz)"));
     }
     let mut normals = vertices.column::<3>(3);
     for (i, normal) in normals.iter_mut().enumerate() {
         let unit = umbrage_geom::glam::Vec3::from(*normal).as_dvec3().normalize_or_zero();
         if unit == umbrage_geom::glam::DVec3::ZERO {
             let [x, y, z] = *normal;
-            return Err(Flaw::content(format!("the normal of point {i} has no length: ({x}, {y}, {z})")));
+            return Err(ContentError::content(format!(
+                "the normal of point {i} has no length: ({x}, {y}, {z})"
+            )));
         }
         *normal = unit.as_vec3().to_array();
     }
-    Ok(Points { positions, normals })
+    Ok(PointCloud { positions, normals })
 }
 
 impl Vertices {
-    fn positions(&self) -> Result<Vec<[f32; 3]>, Flaw> {
+    fn positions(&self) -> Result<Vec<[f32; 3]>, ContentError> {
         if !self.has_all(0..3) {
-            return Err(Flaw::content("it has no element 'vertex' with x, y and z"));
+            return Err(ContentError::content("it has no element 'vertex' with x, y and z"));
         }
         let positions = self.column::<3>(0);
         umbrage_geom::mesh::validate_positions(&positions)?;
@@ -146,9 +152,9 @@ impl Vertices {
     }
 }
 
-fn parse(bytes: &[u8]) -> Result<Contents, Flaw> {
+fn parse(bytes: &[u8]) -> Result<Contents, ContentError> {
     if !bytes.starts_with(b"ply\n") && !bytes.starts_with(b"ply\r") && !bytes.starts_with(b"ply ") {
-        return Err(Flaw::Line(1, "it does not start with 'ply'".into()));
+        return Err(ContentError::Line(1, "it does not start with 'ply'".into()));
     }
     let mut reader = Reader::new(bytes);
     let header =
@@ -178,8 +184,8 @@ fn parse(bytes: &[u8]) -> Result<Contents, Flaw> {
 }
 
 /// The library's message has several lines and holds the state of its parser.
-fn header_flaw(error: &ParseError, bytes: &[u8]) -> Flaw {
-    let Some(line) = error.line() else { return Flaw::content(format!("PLY header: {error}")) };
+fn header_flaw(error: &ParseError, bytes: &[u8]) -> ContentError {
+    let Some(line) = error.line() else { return ContentError::content(format!("PLY header: {error}")) };
     let message = error.to_string();
     let message = message.strip_prefix(&format!("Line {line}: ")).unwrap_or(&message);
     let text = bytes.split(|&b| b == b'\n').nth(line.saturating_sub(1)).unwrap_or_default();
@@ -189,10 +195,10 @@ fn header_flaw(error: &ParseError, bytes: &[u8]) -> Flaw {
     } else {
         format!("PLY header: {}", message.split('\n').next().unwrap_or_default().trim_end_matches(['.', ' ']))
     };
-    Flaw::Line(line, message)
+    ContentError::Line(line, message)
 }
 
-fn read_vertices(source: &mut Source<'_>, element: &ElementDef) -> Result<Vertices, Flaw> {
+fn read_vertices(source: &mut Source<'_>, element: &ElementDef) -> Result<Vertices, ContentError> {
     let mut vertices = Vertices::default();
     let slots: Vec<Option<usize>> = element
         .properties
@@ -233,7 +239,7 @@ fn read_vertices(source: &mut Source<'_>, element: &ElementDef) -> Result<Vertic
     Ok(vertices)
 }
 
-fn read_faces(source: &mut Source<'_>, element: &ElementDef) -> Result<Faces, Flaw> {
+fn read_faces(source: &mut Source<'_>, element: &ElementDef) -> Result<Faces, ContentError> {
     let mut faces = Faces::default();
     let kind = |name: &str, property: &PropertyType| match property {
         PropertyType::List(_, ScalarType::Float | ScalarType::Double) => name == FACE_UV_NAME,
@@ -246,7 +252,7 @@ fn read_faces(source: &mut Source<'_>, element: &ElementDef) -> Result<Faces, Fl
         has_indices |= wanted && name != FACE_UV_NAME;
     }
     if !has_indices && element.count > 0 {
-        return Err(Flaw::content(
+        return Err(ContentError::content(
             "element 'face' has no list of integers 'vertex_indices' or 'vertex_index'",
         ));
     }
@@ -299,12 +305,12 @@ struct Source<'a> {
 
 impl<'a> Source<'a> {
     /// Refuses an element that can't fit into the rest of the file.
-    fn check_count(&self, element: &ElementDef) -> Result<(), Flaw> {
+    fn check_count(&self, element: &ElementDef) -> Result<(), ContentError> {
         let least: usize = element.properties.iter().map(|(_, p)| self.least_size(&p.data_type)).sum();
         let bytes = element.count as u128 * least as u128;
         // The line end after the last line may be missing.
         if bytes > self.rest.len() as u128 + 1 {
-            return Err(Flaw::content(format!(
+            return Err(ContentError::content(format!(
                 "the header promises {} elements '{}', at least {bytes} bytes, but only {} follow",
                 element.count,
                 element.name,
@@ -322,23 +328,23 @@ impl<'a> Source<'a> {
         }
     }
 
-    fn flaw(&self, element: &ElementDef, index: usize, message: String) -> Flaw {
+    fn flaw(&self, element: &ElementDef, index: usize, message: String) -> ContentError {
         let message = format!("{} {index}: {message}", element.name);
         if self.encoding == Encoding::Ascii {
-            Flaw::Line(self.line.saturating_sub(1), message)
+            ContentError::Line(self.line.saturating_sub(1), message)
         } else {
-            Flaw::Content(message)
+            ContentError::Content(message)
         }
     }
 
     /// Goes to the next line of ascii that isn't blank.
-    fn begin(&mut self, element: &ElementDef, index: usize) -> Result<(), Flaw> {
+    fn begin(&mut self, element: &ElementDef, index: usize) -> Result<(), ContentError> {
         if self.encoding != Encoding::Ascii {
             return Ok(());
         }
         while self.words.is_empty() {
             if self.rest.is_empty() {
-                return Err(Flaw::content(format!(
+                return Err(ContentError::content(format!(
                     "it ends after {index} of {} elements '{}'",
                     element.count, element.name
                 )));
@@ -351,7 +357,7 @@ impl<'a> Source<'a> {
         Ok(())
     }
 
-    fn end(&mut self, element: &ElementDef, index: usize) -> Result<(), Flaw> {
+    fn end(&mut self, element: &ElementDef, index: usize) -> Result<(), ContentError> {
         if self.words.is_empty() {
             return Ok(());
         }

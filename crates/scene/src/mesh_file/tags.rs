@@ -4,18 +4,18 @@
 //! Here: what the tags of a file say. Not here: where they stand in the file (`obj.rs`), what they do (crate `umbrage-reyes`).
 
 use super::{
-    Flaw,
+    ContentError,
     obj::{parse_float, parse_integer, quote, words},
 };
 use std::collections::HashSet;
 use umbrage_geom::{BoundaryRule, CreaseMethod, PolygonMesh, mesh::MAX_ELEMENTS};
 
 /// The tags that are obeyed.
-const KNOWN: [&[u8]; 5] =
+const TAG_NAMES: [&[u8]; 5] =
     [b"crease", b"corner", b"interpolateboundary", b"creasemethod", b"facevaryinginterpolateboundary"];
 
 /// What a vertex may be, counted from 0.
-const VERTICES: std::ops::Range<i64> = 0..MAX_ELEMENTS as i64;
+const VERTEX_INDICES: std::ops::Range<i64> = 0..MAX_ELEMENTS as i64;
 
 /// Tags of a file, checked but for whether the vertices exist.
 #[derive(Default)]
@@ -44,7 +44,7 @@ impl Tags {
         let mut rest = words(rest);
         let name = rest.next().unwrap_or_default();
         let counts = counts(rest.next().unwrap_or_default());
-        if !KNOWN.contains(&name) {
+        if !TAG_NAMES.contains(&name) {
             // A comment that starts with these letters need not be a tag.
             if !is_comment || counts.is_some() {
                 let known = "crease, corner, interpolateboundary and creasemethod are";
@@ -95,15 +95,15 @@ impl Tags {
     }
 
     /// Puts the tags into the mesh of the same file.
-    pub(super) fn apply(self, mesh: &mut PolygonMesh) -> Result<(), Flaw> {
+    pub(super) fn apply(self, mesh: &mut PolygonMesh) -> Result<(), ContentError> {
         if let Some((line, message)) = self.unknown {
-            return Err(Flaw::Line(line, message));
+            return Err(ContentError::Line(line, message));
         }
         let count = mesh.positions.len();
         let tagged =
             self.creases.iter().flat_map(|(edge, _)| edge).chain(self.sharp_vertices.iter().map(|(v, _)| v));
         if let Some(vertex) = tagged.into_iter().find(|&&v| v as usize >= count) {
-            return Err(Flaw::content(format!(
+            return Err(ContentError::content(format!(
                 "a tag names vertex {vertex}, but there are only {count} (from 0)"
             )));
         }
@@ -111,7 +111,7 @@ impl Tags {
             Some((_, Some(rule))) => mesh.boundary = rule,
             Some((line, None)) => {
                 if let Some([a, b]) = boundary_edge(mesh) {
-                    return Err(Flaw::Line(
+                    return Err(ContentError::Line(
                         line,
                         format!(
                             "interpolateboundary 0, which leaves out the faces at a boundary, is not implemented, 1 and 2 are; \
@@ -177,7 +177,7 @@ impl Values {
         let mut values = Self { name, integers: Vec::new(), numbers: Vec::new(), words: Vec::new() };
         let names_vertices = values.name == "crease" || values.name == "corner";
         for word in rest.by_ref().take(integers) {
-            let integer = parse_integer(word).filter(|i| !names_vertices || VERTICES.contains(i));
+            let integer = parse_integer(word).filter(|i| !names_vertices || VERTEX_INDICES.contains(i));
             let what = if names_vertices { "a vertex" } else { "an integer" };
             values.integers.push(integer.ok_or_else(|| values.wrong(word, what))?);
         }
@@ -237,7 +237,7 @@ mod tests {
     const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n";
     const TETRAHEDRON: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
 
-    fn polygons(mesh: &str, tags: &str) -> Result<PolygonMesh, Flaw> {
+    fn polygons(mesh: &str, tags: &str) -> Result<PolygonMesh, ContentError> {
         obj::parse(format!("{mesh}{tags}").as_bytes()).and_then(obj::Obj::into_polygons)
     }
 
@@ -296,16 +296,16 @@ mod tests {
             ("t", "tag '' is not implemented"),
         ];
         for (tag, part) in cases {
-            let Err(Flaw::Line(line, message)) = polygons(TRIANGLE, &format!("{tag}\n")) else {
+            let Err(ContentError::Line(line, message)) = polygons(TRIANGLE, &format!("{tag}\n")) else {
                 panic!("{tag} is no error of a line");
             };
             assert!(line == 5 && message.contains(part), "{tag}: {line}: {message}");
         }
         let twice = "t creasemethod 0/0/1 normal\nt creasemethod 0/0/1 chaikin\n";
         let error = polygons(TRIANGLE, twice).unwrap_err();
-        assert!(matches!(error, Flaw::Line(6, m) if m.contains("differs from that of line 5")));
+        assert!(matches!(error, ContentError::Line(6, m) if m.contains("differs from that of line 5")));
         let far = polygons(TRIANGLE, "t corner 1/1/0 3 1\n").unwrap_err();
-        assert!(matches!(far, Flaw::Content(m) if m.contains("vertex 3")));
+        assert!(matches!(far, ContentError::Content(m) if m.contains("vertex 3")));
         // Triangles as they are need no tag.
         let plain = format!("{TRIANGLE}t hole 1/0/0 0\n");
         assert!(obj::parse(plain.as_bytes()).and_then(obj::Obj::into_triangles).is_ok());

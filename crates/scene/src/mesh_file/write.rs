@@ -44,7 +44,7 @@ pub enum WriteMeshError {
 }
 
 /// Names that PLY properties of a vertex have already.
-const VERTEX_PROPERTIES: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"];
+const RESERVED_PROPERTIES: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"];
 
 /// Writes a binary little-endian PLY: `x y z`, `nx ny nz`, `red green blue`, then the scalars as `float`; triangles as
 /// `vertex_indices`, with a list `texcoord` where the mesh has texture coordinates.
@@ -202,7 +202,7 @@ fn check(mesh: &TriangleMesh, attributes: &VertexAttributes<'_>) -> Result<(), W
 
 fn check_attributes(mesh: &TriangleMesh, attributes: &VertexAttributes<'_>) -> Result<(), WriteMeshError> {
     let vertices = mesh.positions.len();
-    let mut names: Vec<&str> = VERTEX_PROPERTIES.to_vec();
+    let mut names: Vec<&str> = RESERVED_PROPERTIES.to_vec();
     for &(name, _) in attributes.scalars {
         let letters = name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
         if !letters || name.is_empty() || name.as_bytes()[0].is_ascii_digit() || names.contains(&name) {

@@ -7,12 +7,12 @@ use toml::de::{DeTable, DeValue};
 
 /// What is wrong, and where in the text.
 #[derive(Debug)]
-pub(super) struct Flaw {
+pub(super) struct FieldError {
     pub(super) span: Range<usize>,
     pub(super) message: String,
 }
 
-impl Flaw {
+impl FieldError {
     pub(super) fn new(span: Range<usize>, message: impl Into<String>) -> Self {
         Self { span, message: message.into() }
     }
@@ -46,7 +46,7 @@ impl<'a> Fields<'a> {
         Some(Value { what: self.what.clone(), key: key.into(), value })
     }
 
-    pub(super) fn required(&self, key: &'static str) -> Result<Value<'a>, Flaw> {
+    pub(super) fn required(&self, key: &'static str) -> Result<Value<'a>, FieldError> {
         self.value(key).ok_or_else(|| {
             // A misspelt key explains a missing one.
             let alike = |other: &str| other.contains(key) || key.contains(other) || prefix(other, key) >= 3;
@@ -55,7 +55,7 @@ impl<'a> Fields<'a> {
                     let span = self.key_span(&other.key).unwrap_or_else(|| other.span());
                     let message =
                         format!("{}: unknown key '{}', and '{key}' is missing", self.what, other.key);
-                    Flaw::new(span, message)
+                    FieldError::new(span, message)
                 }
                 None => self.flaw(format!("'{key}' is missing")),
             }
@@ -63,11 +63,11 @@ impl<'a> Fields<'a> {
     }
 
     /// A problem with the table as a whole.
-    pub(super) fn flaw(&self, message: impl AsRef<str>) -> Flaw {
-        Flaw::new(self.span.clone(), format!("{}: {}", self.what, message.as_ref()))
+    pub(super) fn flaw(&self, message: impl AsRef<str>) -> FieldError {
+        FieldError::new(self.span.clone(), format!("{}: {}", self.what, message.as_ref()))
     }
 
-    pub(super) fn table(&self, key: &'static str) -> Result<Option<Fields<'a>>, Flaw> {
+    pub(super) fn table(&self, key: &'static str) -> Result<Option<Fields<'a>>, FieldError> {
         self.value(key).map(|v| v.table(key)).transpose()
     }
 
@@ -76,7 +76,7 @@ impl<'a> Fields<'a> {
         key: &'static str,
         range: RangeInclusive<u32>,
         target: &mut u32,
-    ) -> Result<(), Flaw> {
+    ) -> Result<(), FieldError> {
         if let Some(value) = self.value(key) {
             *target = value.whole(range)?;
         }
@@ -109,7 +109,7 @@ impl<'a> Fields<'a> {
     }
 
     /// Refuses keys that were not asked for.
-    pub(super) fn finish(&self) -> Result<(), Flaw> {
+    pub(super) fn finish(&self) -> Result<(), FieldError> {
         let Some(unknown) = self.others().into_iter().next() else { return Ok(()) };
         let mut known = self.asked.borrow().clone();
         known.sort_unstable();
@@ -117,7 +117,7 @@ impl<'a> Fields<'a> {
         let span = self.key_span(&unknown.key).unwrap_or_else(|| unknown.span());
         let message =
             format!("{}: unknown key '{}', expected one of {}", self.what, unknown.key, known.join(", "));
-        Err(Flaw::new(span, message))
+        Err(FieldError::new(span, message))
     }
 }
 
@@ -140,11 +140,11 @@ impl<'a> Value<'a> {
     }
 
     /// `message` continues "KEY ..".
-    pub(super) fn flaw(&self, message: impl AsRef<str>) -> Flaw {
-        Flaw::new(self.span(), format!("{}: {} {}", self.what, self.key, message.as_ref()))
+    pub(super) fn flaw(&self, message: impl AsRef<str>) -> FieldError {
+        FieldError::new(self.span(), format!("{}: {} {}", self.what, self.key, message.as_ref()))
     }
 
-    pub(super) fn expected(&self, expected: &str) -> Flaw {
+    pub(super) fn expected(&self, expected: &str) -> FieldError {
         let found = match self.raw() {
             DeValue::String(text) => format!("\"{text}\""),
             DeValue::Integer(i) => i.to_string(),
@@ -157,27 +157,27 @@ impl<'a> Value<'a> {
         self.flaw(format!("must be {expected}, not {found}"))
     }
 
-    pub(super) fn text(&self) -> Result<&'a str, Flaw> {
+    pub(super) fn text(&self) -> Result<&'a str, FieldError> {
         self.raw().as_str().ok_or_else(|| self.expected("text"))
     }
 
-    pub(super) fn flag(&self) -> Result<bool, Flaw> {
+    pub(super) fn flag(&self) -> Result<bool, FieldError> {
         self.raw().as_bool().ok_or_else(|| self.expected("true or false"))
     }
 
     /// A table; `what` names it in errors.
-    pub(super) fn table(&self, what: impl Into<String>) -> Result<Fields<'a>, Flaw> {
+    pub(super) fn table(&self, what: impl Into<String>) -> Result<Fields<'a>, FieldError> {
         let table = self.raw().as_table().ok_or_else(|| self.expected("a table"))?;
         Ok(Fields::new(what, table, self.span()))
     }
 
-    pub(super) fn items(&self) -> Result<Vec<Value<'a>>, Flaw> {
+    pub(super) fn items(&self) -> Result<Vec<Value<'a>>, FieldError> {
         let items = self.raw().as_array().ok_or_else(|| self.expected("an array"))?;
         let item = |value| Value { what: self.what.clone(), key: self.key.clone(), value };
         Ok(items.iter().map(item).collect())
     }
 
-    pub(super) fn double(&self) -> Result<f64, Flaw> {
+    pub(super) fn double(&self) -> Result<f64, FieldError> {
         let number = match self.raw() {
             DeValue::Integer(i) => i64::from_str_radix(i.as_str(), i.radix()).ok().map(|i| i as f64),
             DeValue::Float(x) => x.as_str().parse().ok(),
@@ -190,11 +190,11 @@ impl<'a> Value<'a> {
         }
     }
 
-    pub(super) fn number(&self) -> Result<f32, Flaw> {
+    pub(super) fn number(&self) -> Result<f32, FieldError> {
         Ok(self.double()? as f32)
     }
 
-    pub(super) fn number_in(&self, range: RangeInclusive<f32>) -> Result<f32, Flaw> {
+    pub(super) fn number_in(&self, range: RangeInclusive<f32>) -> Result<f32, FieldError> {
         let number = self.number()?;
         if range.contains(&number) {
             return Ok(number);
@@ -203,12 +203,12 @@ impl<'a> Value<'a> {
     }
 
     /// A length above 0.
-    pub(super) fn positive(&self) -> Result<f32, Flaw> {
+    pub(super) fn positive(&self) -> Result<f32, FieldError> {
         let number = self.number()?;
         if number > 0.0 { Ok(number) } else { Err(self.flaw(format!("must be above 0, not {number}"))) }
     }
 
-    pub(super) fn whole(&self, range: RangeInclusive<u32>) -> Result<u32, Flaw> {
+    pub(super) fn whole(&self, range: RangeInclusive<u32>) -> Result<u32, FieldError> {
         let integer = self.raw().as_integer().and_then(|i| i64::from_str_radix(i.as_str(), i.radix()).ok());
         match integer.and_then(|i| u32::try_from(i).ok()).filter(|i| range.contains(i)) {
             Some(whole) => Ok(whole),
@@ -219,7 +219,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    pub(super) fn numbers<const N: usize>(&self) -> Result<[f64; N], Flaw> {
+    pub(super) fn numbers<const N: usize>(&self) -> Result<[f64; N], FieldError> {
         let items = self.raw().as_array().map_or(0, |items| items.len());
         if items != N {
             return Err(self.expected(&format!("an array of {N} numbers")));
@@ -232,7 +232,7 @@ impl<'a> Value<'a> {
     }
 
     /// A point, with coordinates that geometry may have.
-    pub(super) fn vector(&self) -> Result<[f32; 3], Flaw> {
+    pub(super) fn vector(&self) -> Result<[f32; 3], FieldError> {
         let limit = f64::from(umbrage_geom::mesh::MAX_COORDINATE);
         let vector = self.numbers::<3>()?;
         if vector.iter().any(|x| x.abs() > limit) {
@@ -242,7 +242,7 @@ impl<'a> Value<'a> {
     }
 
     /// A vector that has a length.
-    pub(super) fn direction(&self) -> Result<[f32; 3], Flaw> {
+    pub(super) fn direction(&self) -> Result<[f32; 3], FieldError> {
         let vector = self.vector()?;
         if umbrage_geom::glam::Vec3::from(vector).length_squared() > 0.0 {
             return Ok(vector);
@@ -251,7 +251,7 @@ impl<'a> Value<'a> {
     }
 
     /// Light: one number or three, not negative.
-    pub(super) fn color(&self) -> Result<[f32; 3], Flaw> {
+    pub(super) fn color(&self) -> Result<[f32; 3], FieldError> {
         let color = match self.raw() {
             DeValue::Integer(_) | DeValue::Float(_) => [self.double()?; 3],
             DeValue::Array(_) => self.numbers::<3>()?,

@@ -1,6 +1,6 @@
 //! `[[lights]]`.
 
-use super::fields::{Fields, Flaw, Value};
+use super::fields::{FieldError, Fields, Value};
 use crate::scene::Light;
 use umbrage_geom::Frame;
 use umbrage_geom::glam::Vec3;
@@ -8,7 +8,7 @@ use umbrage_geom::glam::Vec3;
 const TYPES: &str = "\"rectangle\", \"disc\", \"sphere\", \"point\", \"spot\" or \"directional\"";
 
 /// Reads all lights.
-pub(super) fn read(top: &Fields<'_>) -> Result<Vec<Light>, Flaw> {
+pub(super) fn read(top: &Fields<'_>) -> Result<Vec<Light>, FieldError> {
     let Some(list) = top.value("lights") else { return Ok(Vec::new()) };
     let mut names = Vec::new();
     list.items()?
@@ -33,7 +33,7 @@ pub(super) fn read(top: &Fields<'_>) -> Result<Vec<Light>, Flaw> {
         .collect()
 }
 
-fn light(fields: &Fields<'_>) -> Result<Light, Flaw> {
+fn light(fields: &Fields<'_>) -> Result<Light, FieldError> {
     let kind = fields.required("type")?;
     let color = |key| fields.required(key).and_then(|v: Value<'_>| v.color());
     Ok(match kind.text()? {
@@ -68,12 +68,12 @@ fn light(fields: &Fields<'_>) -> Result<Light, Flaw> {
     })
 }
 
-fn two_sided(fields: &Fields<'_>) -> Result<bool, Flaw> {
+fn two_sided(fields: &Fields<'_>) -> Result<bool, FieldError> {
     fields.value("two_sided").map_or(Ok(false), |v| v.flag())
 }
 
 /// The direction under `key`, or from `origin` to `target`.
-fn toward(fields: &Fields<'_>, key: &'static str, origin: [f32; 3]) -> Result<[f32; 3], Flaw> {
+fn toward(fields: &Fields<'_>, key: &'static str, origin: [f32; 3]) -> Result<[f32; 3], FieldError> {
     match (fields.value(key), fields.value("target")) {
         (Some(direction), None) => direction.direction(),
         (None, Some(target)) => {
@@ -88,7 +88,7 @@ fn toward(fields: &Fields<'_>, key: &'static str, origin: [f32; 3]) -> Result<[f
     }
 }
 
-fn rectangle(fields: &Fields<'_>) -> Result<Light, Flaw> {
+fn rectangle(fields: &Fields<'_>) -> Result<Light, FieldError> {
     let (corner, u, v) = match (fields.value("corner"), fields.value("center")) {
         (Some(corner), None) => {
             let (u, v) = (fields.required("u")?, fields.required("v")?);
@@ -121,7 +121,7 @@ fn rectangle(fields: &Fields<'_>) -> Result<Light, Flaw> {
     Ok(Light::Rectangle { corner, u, v, radiance, two_sided: two_sided(fields)? })
 }
 
-fn spot(fields: &Fields<'_>) -> Result<Light, Flaw> {
+fn spot(fields: &Fields<'_>) -> Result<Light, FieldError> {
     let position = fields.required("position")?.vector()?;
     let direction = toward(fields, "direction", position)?;
     let outer = fields.required("outer_angle")?;

@@ -10,7 +10,7 @@ mod placement;
 
 use crate::mesh_file::one_line;
 use crate::scene::{Ambient, Camera, Radius, Scene, Settings};
-use fields::{Fields, Flaw, Value};
+use fields::{FieldError, Fields, Value};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 use toml::de::{DeTable, DeValue};
@@ -69,7 +69,7 @@ impl Scene {
         let text = std::str::from_utf8(&bytes).map_err(|e| {
             let valid = String::from_utf8_lossy(&bytes[..e.valid_up_to()]).into_owned();
             let end = valid.len();
-            Flaw::new(end..end, "not UTF-8 text: this is not a scene file").at(path, &valid)
+            FieldError::new(end..end, "not UTF-8 text: this is not a scene file").at(path, &valid)
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         parse(text, folder).map_err(|flaw| flaw.at(path, text))
@@ -84,7 +84,7 @@ impl Scene {
     }
 }
 
-impl Flaw {
+impl FieldError {
     fn at(self, path: &Path, text: &str) -> SceneError {
         let before = text.get(..self.span.start).unwrap_or(text);
         let line = before.bytes().filter(|&b| b == b'\n').count() + 1;
@@ -93,8 +93,8 @@ impl Flaw {
     }
 }
 
-fn parse(text: &str, folder: &Path) -> Result<Scene, Flaw> {
-    let table = DeTable::parse(text).map_err(|e| Flaw::new(e.span().unwrap_or(0..0), e.message()))?;
+fn parse(text: &str, folder: &Path) -> Result<Scene, FieldError> {
+    let table = DeTable::parse(text).map_err(|e| FieldError::new(e.span().unwrap_or(0..0), e.message()))?;
     let top = Fields::new("scene", table.get_ref(), 0..0);
     let mut settings = Settings::default();
     if let Some(image) = top.table("image")? {
@@ -123,7 +123,7 @@ fn parse(text: &str, folder: &Path) -> Result<Scene, Flaw> {
     Ok(scene)
 }
 
-fn read_image(image: Fields<'_>, settings: &mut Settings) -> Result<(), Flaw> {
+fn read_image(image: Fields<'_>, settings: &mut Settings) -> Result<(), FieldError> {
     image.whole_into("width", 1..=MAX_SIDE, &mut settings.width)?;
     image.whole_into("height", 1..=MAX_SIDE, &mut settings.height)?;
     image.whole_into("spp", 1..=MAX_SAMPLES, &mut settings.spp)?;
@@ -134,7 +134,7 @@ fn read_image(image: Fields<'_>, settings: &mut Settings) -> Result<(), Flaw> {
     image.finish()
 }
 
-fn read_methods(methods: Fields<'_>, settings: &mut Settings) -> Result<(), Flaw> {
+fn read_methods(methods: Fields<'_>, settings: &mut Settings) -> Result<(), FieldError> {
     let names =
         [("shadows", &mut settings.shadows), ("ao", &mut settings.ao), ("surfaces", &mut settings.surfaces)];
     for (key, name) in names {
@@ -146,13 +146,15 @@ fn read_methods(methods: Fields<'_>, settings: &mut Settings) -> Result<(), Flaw
             *name = text.into();
         }
     }
+    if let Some(value) = methods.value("grid_cache") {
+        settings.grid_cache = value.text()?.parse().map_err(|e| value.flaw(format!("can't be used: {e}")))?;
+    }
     methods.whole_into("shadow_samples", 1..=MAX_SAMPLES, &mut settings.shadow_samples)?;
     methods.whole_into("ao_samples", 1..=MAX_SAMPLES, &mut settings.ao_samples)?;
-    methods.whole_into("grid_cache", 1..=Settings::MAX_GRID_CACHE, &mut settings.grid_cache)?;
     methods.finish()
 }
 
-fn read_camera(camera: Fields<'_>) -> Result<Camera, Flaw> {
+fn read_camera(camera: Fields<'_>) -> Result<Camera, FieldError> {
     let mut read = Camera {
         position: camera.required("position")?.vector()?,
         target: camera.required("target")?.vector()?,
@@ -186,7 +188,7 @@ fn read_camera(camera: Fields<'_>) -> Result<Camera, Flaw> {
     Ok(read)
 }
 
-fn read_ambient(ambient: Fields<'_>) -> Result<Ambient, Flaw> {
+fn read_ambient(ambient: Fields<'_>) -> Result<Ambient, FieldError> {
     let radiance = ambient.value("radiance").map(|v| v.color()).transpose()?.unwrap_or([1.0; 3]);
     let radius = ambient.value("radius").map(|v| read_radius(&v)).transpose()?.unwrap_or_default();
     let falloff = ambient.value("falloff").map(|v| read_falloff(&v).map(|f| (f, v))).transpose()?;
@@ -201,7 +203,7 @@ fn read_ambient(ambient: Fields<'_>) -> Result<Ambient, Flaw> {
     Ok(Ambient { radiance, radius, falloff })
 }
 
-fn read_radius(value: &Value<'_>) -> Result<Radius, Flaw> {
+fn read_radius(value: &Value<'_>) -> Result<Radius, FieldError> {
     const EXPECTED: &str = "a length above 0, or a share of the diagonal such as \"5%\"";
     match value.raw() {
         DeValue::String(text) => {
@@ -219,7 +221,7 @@ fn read_radius(value: &Value<'_>) -> Result<Radius, Flaw> {
     }
 }
 
-fn read_falloff(value: &Value<'_>) -> Result<Falloff, Flaw> {
+fn read_falloff(value: &Value<'_>) -> Result<Falloff, FieldError> {
     let falloff = match value.raw() {
         DeValue::String(text) => text.parse(),
         DeValue::Array(_) => {

@@ -1,6 +1,6 @@
 //! `[materials]`, `[meshes]` and `[[objects]]`.
 
-use super::fields::{Fields, Flaw, Value};
+use super::fields::{FieldError, Fields, Value};
 use super::placement;
 use crate::generate::{GenerateError, ParameterValue, Parameters, generate};
 use crate::mesh_file::{read_mesh, read_polygons};
@@ -32,7 +32,7 @@ pub(super) struct Geometry {
 }
 
 /// Reads materials, meshes and objects; mesh files are relative to `folder`.
-pub(super) fn read(top: &Fields<'_>, folder: &Path) -> Result<Geometry, Flaw> {
+pub(super) fn read(top: &Fields<'_>, folder: &Path) -> Result<Geometry, FieldError> {
     let mut geometry = Geometry::default();
     if let Some(materials) = top.table("materials")? {
         for entry in materials.entries() {
@@ -71,7 +71,7 @@ pub(super) fn read(top: &Fields<'_>, folder: &Path) -> Result<Geometry, Flaw> {
     Ok(geometry)
 }
 
-fn read_material(entry: &Value<'_>) -> Result<Material, Flaw> {
+fn read_material(entry: &Value<'_>) -> Result<Material, FieldError> {
     let fields = entry.table(format!("material '{}'", entry.key()))?;
     let mut material = Material { name: entry.key().into(), ..Material::default() };
     if let Some(albedo) = fields.value("albedo") {
@@ -88,7 +88,7 @@ fn read_material(entry: &Value<'_>) -> Result<Material, Flaw> {
 }
 
 /// A table with `file`, or with `generator` and its parameters, and perhaps `subdivide`.
-fn read_mesh_table(fields: &Fields<'_>, name: &str, folder: &Path) -> Result<NamedMesh, Flaw> {
+fn read_mesh_table(fields: &Fields<'_>, name: &str, folder: &Path) -> Result<NamedMesh, FieldError> {
     let subdivide = fields.value("subdivide");
     let surface = subdivide.as_ref().map(read_subdivide).transpose()?;
     let (mesh, control) = match (fields.value("file"), fields.value("generator")) {
@@ -128,7 +128,7 @@ impl Subdivide {
 }
 
 /// `subdivide`: a length in pixels, or a table.
-fn read_subdivide(value: &Value<'_>) -> Result<Subdivide, Flaw> {
+fn read_subdivide(value: &Value<'_>) -> Result<Subdivide, FieldError> {
     let mut surface = Subdivide::default();
     match value.raw() {
         DeValue::Integer(_) | DeValue::Float(_) => surface.rate = SubdivisionRate::Pixels(value.positive()?),
@@ -163,13 +163,16 @@ fn read_subdivide(value: &Value<'_>) -> Result<Subdivide, Flaw> {
     Ok(surface)
 }
 
-fn read_mesh_file(file: &Value<'_>, folder: &Path) -> Result<TriangleMesh, Flaw> {
+fn read_mesh_file(file: &Value<'_>, folder: &Path) -> Result<TriangleMesh, FieldError> {
     let path = folder.join(file.text()?);
     read_mesh(&path).map_err(|e| file.flaw(format!("can't be used: {e}")))
 }
 
 /// Polygons, and their fans.
-fn read_control_file(file: &Value<'_>, folder: &Path) -> Result<(TriangleMesh, Option<PolygonMesh>), Flaw> {
+fn read_control_file(
+    file: &Value<'_>,
+    folder: &Path,
+) -> Result<(TriangleMesh, Option<PolygonMesh>), FieldError> {
     let path = folder.join(file.text()?);
     let control = read_polygons(&path).map_err(|e| file.flaw(format!("can't be used: {e}")))?;
     let mesh = control.triangulate();
@@ -180,7 +183,7 @@ fn read_control_file(file: &Value<'_>, folder: &Path) -> Result<(TriangleMesh, O
 fn generated(
     fields: &Fields<'_>,
     generator: &Value<'_>,
-) -> Result<(TriangleMesh, Option<PolygonMesh>), Flaw> {
+) -> Result<(TriangleMesh, Option<PolygonMesh>), FieldError> {
     let mut parameters = Parameters::default();
     fields.whole_into("seed", 0..=u32::MAX, &mut parameters.seed)?;
     if let Some(triangles) = fields.value("triangles") {
@@ -204,7 +207,7 @@ fn generated(
                 _ => "generator",
             };
             let span = fields.key_span(culprit).unwrap_or_else(|| generator.span());
-            Err(Flaw::new(span, format!("{}: {error}", fields.what)))
+            Err(FieldError::new(span, format!("{}: {error}", fields.what)))
         }
     }
 }
@@ -215,7 +218,7 @@ impl Geometry {
         self.materials.push(material);
     }
 
-    fn add_object(&mut self, fields: &Fields<'_>, folder: &Path) -> Result<(), Flaw> {
+    fn add_object(&mut self, fields: &Fields<'_>, folder: &Path) -> Result<(), FieldError> {
         let mesh = self.object_mesh(fields, folder)?;
         let materials = self.object_materials(fields, mesh)?;
         let transforms = placement::read(fields)?;
@@ -242,7 +245,7 @@ impl Geometry {
     }
 
     /// Index of the mesh an object names or brings along.
-    fn object_mesh(&mut self, fields: &Fields<'_>, folder: &Path) -> Result<usize, Flaw> {
+    fn object_mesh(&mut self, fields: &Fields<'_>, folder: &Path) -> Result<usize, FieldError> {
         let mesh = fields.required("mesh")?;
         let inline = match mesh.raw() {
             DeValue::String(name) => {
@@ -277,7 +280,7 @@ impl Geometry {
     }
 
     /// One material for each object of the mesh: the one `materials` gives it, else `material`, else the default.
-    fn object_materials(&mut self, fields: &Fields<'_>, mesh: usize) -> Result<Vec<usize>, Flaw> {
+    fn object_materials(&mut self, fields: &Fields<'_>, mesh: usize) -> Result<Vec<usize>, FieldError> {
         let parts = self.meshes[mesh].mesh.objects_or_whole();
         let mut chosen: Vec<Option<usize>> = match fields.value("material") {
             Some(value) => vec![Some(self.material(&value)?); parts.len()],
@@ -296,7 +299,7 @@ impl Geometry {
                     let span = table.key_span(entry.key()).unwrap_or_else(|| entry.span());
                     let message =
                         format!("{}: its mesh has no object '{}' ({known})", fields.what, entry.key());
-                    return Err(Flaw::new(span, message));
+                    return Err(FieldError::new(span, message));
                 }
             }
         }
@@ -308,7 +311,7 @@ impl Geometry {
         Ok(chosen.into_iter().filter_map(|m| m.or(default)).collect())
     }
 
-    fn material(&self, value: &Value<'_>) -> Result<usize, Flaw> {
+    fn material(&self, value: &Value<'_>) -> Result<usize, FieldError> {
         let name = value.text()?;
         self.material_indices.get(name).copied().ok_or_else(|| {
             let known = list(self.materials.iter().map(|m| &m.name[..]));

@@ -2,7 +2,7 @@
 //!
 //! Computed in double precision with `libm`, so that a scene is the same to the bit on every machine.
 
-use super::fields::{Fields, Flaw, Value};
+use super::fields::{FieldError, Fields, Value};
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::Rng;
 use toml::de::DeValue;
@@ -12,7 +12,7 @@ use umbrage_geom::glam::{Affine3A, DAffine3, DMat3, DVec3};
 pub(super) const MAX_INSTANCES: u32 = 1_000_000;
 
 /// The transforms of an object's instances, at least one, each invertible.
-pub(super) fn read(fields: &Fields<'_>) -> Result<Vec<Affine3A>, Flaw> {
+pub(super) fn read(fields: &Fields<'_>) -> Result<Vec<Affine3A>, FieldError> {
     let object = transform(fields)?;
     let mut all = Vec::new();
     match (fields.value("transforms"), fields.value("scatter")) {
@@ -41,7 +41,7 @@ pub(super) fn read(fields: &Fields<'_>) -> Result<Vec<Affine3A>, Flaw> {
     Ok(all)
 }
 
-fn singular(fields: &Fields<'_>) -> Flaw {
+fn singular(fields: &Fields<'_>) -> FieldError {
     fields.flaw("its transform can't be inverted (a scale or a matrix flattens it, or is too large or small)")
 }
 
@@ -63,7 +63,7 @@ fn rounded(transform: DAffine3) -> Option<Affine3A> {
 }
 
 /// `translate * rotate * scale`, or `matrix`.
-fn transform(fields: &Fields<'_>) -> Result<DAffine3, Flaw> {
+fn transform(fields: &Fields<'_>) -> Result<DAffine3, FieldError> {
     let (translate, rotate, scale) =
         (fields.value("translate"), fields.value("rotate"), fields.value("scale"));
     if let Some(matrix) = fields.value("matrix") {
@@ -80,7 +80,7 @@ fn transform(fields: &Fields<'_>) -> Result<DAffine3, Flaw> {
 }
 
 /// Three rows of four: `world = rows * (x, y, z, 1)`.
-fn read_matrix(matrix: &Value<'_>) -> Result<DAffine3, Flaw> {
+fn read_matrix(matrix: &Value<'_>) -> Result<DAffine3, FieldError> {
     const EXPECTED: &str = "three rows of four numbers";
     let rows = match matrix.raw() {
         DeValue::Array(rows) if rows.len() == 3 => matrix.items()?,
@@ -96,7 +96,7 @@ fn read_matrix(matrix: &Value<'_>) -> Result<DAffine3, Flaw> {
     Ok(DAffine3::from_mat3_translation(DMat3::from_cols(x, y, z), translation))
 }
 
-fn read_scale(value: &Value<'_>) -> Result<[f64; 3], Flaw> {
+fn read_scale(value: &Value<'_>) -> Result<[f64; 3], FieldError> {
     let scale = match value.raw() {
         DeValue::Array(_) => value.numbers::<3>()?,
         _ => [value.double().map_err(|_| value.expected("a number or an array of 3 numbers"))?; 3],
@@ -105,7 +105,7 @@ fn read_scale(value: &Value<'_>) -> Result<[f64; 3], Flaw> {
 }
 
 /// Degrees about x, then y, then z; or an axis and degrees about it.
-fn rotation(value: &Value<'_>) -> Result<DMat3, Flaw> {
+fn rotation(value: &Value<'_>) -> Result<DMat3, FieldError> {
     match value.raw() {
         DeValue::Array(_) => {
             let [x, y, z] = value.numbers::<3>()?;
@@ -139,7 +139,7 @@ fn about(axis: DVec3, degrees: f64) -> DMat3 {
 ///
 /// Places follow the additive sequence of the plastic number (Roberts 2018) from a random start: they keep their
 /// distance from each other for any count, which independent points don't.
-fn scattered(fields: &Fields<'_>) -> Result<Vec<DAffine3>, Flaw> {
+fn scattered(fields: &Fields<'_>) -> Result<Vec<DAffine3>, FieldError> {
     const PLASTIC: f64 = 1.324_717_957_244_746;
     let count = fields.required("count")?.whole(1..=MAX_INSTANCES)?;
     let area = fields.required("area")?;

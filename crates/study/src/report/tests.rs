@@ -70,7 +70,10 @@ fn the_page_holds_all_and_needs_nothing() {
         assert!(page.contains(expected), "{expected}");
     }
     assert_eq!(page.matches("<svg").count(), study.questions.len());
-    assert!(page.matches("data:image/png").count() >= 3);
+    // Every method has a picture or a reason; a picture comes with the exact one and the difference, and all with the work.
+    let pictures = study.pictures.as_ref().unwrap();
+    assert_eq!(pictures.methods.len() + pictures.missing.len(), umbrage_query::AoMethod::ALL.len());
+    assert_eq!(page.matches("data:image/png").count(), 3 * pictures.methods.len() + 1);
     let csv = table::csv(&study);
     let rows = study.questions.iter().map(|q| q.rows.len()).sum::<usize>();
     assert_eq!((csv.lines().count(), table::json_lines(&study).lines().count()), (rows + 1, rows));

@@ -13,12 +13,13 @@ use umbrage::{
     bake::baked::{BakeTarget, Baked, check_part_extension},
     bake::{Bake, BakeError, BakeOptions, NormalSource, Receivers, TexelMap, VAxis, blocks},
     image::{Fingerprint, Shard, ShardError},
-    query::{AoMethod, Ground, Occluders, SceneKind, Selection, View, engine, plan},
+    query::{AoMethod, Ground, Occluders, SceneKind, Selection, View, engine, plan, subdivide},
+    reyes::SurfaceError,
 };
 use umbrage_aomask::Sides;
 use umbrage_aomask::exact::adaptive::Spent;
 use umbrage_geom::{Falloff, TriangleMesh};
-use umbrage_scene::{Points, Scene, read_mesh, read_points};
+use umbrage_scene::{PointCloud, Scene, read_mesh, read_points};
 
 /// Bakes ambient occlusion on to a mesh, an image or points.
 ///
@@ -166,11 +167,11 @@ impl BakeArguments {
 struct Input {
     mesh: TriangleMesh,
     occluders: Vec<TriangleMesh>,
-    points: Option<Points>,
+    points: Option<PointCloud>,
 }
 
 pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
-    let bar = Bar::new("baking")?;
+    let mut bar = Bar::new("baking")?;
     let options = arguments.options();
     options.validate()?;
     ensure!(
@@ -208,24 +209,27 @@ pub fn run(arguments: &BakeArguments) -> Result<ExitCode> {
         check_part_extension(&arguments.output)?;
     }
     let start = Instant::now();
-    let input = read(arguments)?;
+    let input = read(arguments, &mut bar)?;
     let load_s = start.elapsed().as_secs_f64();
     let pool = thread_pool(arguments.threads)?;
     pool.install(|| bake_and_write(arguments, &options, input, bar, load_s))?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn read(arguments: &BakeArguments) -> Result<Input> {
+fn read(arguments: &BakeArguments, bar: &mut Bar) -> Result<Input> {
+    let source = || arguments.mesh.display().to_string();
     let mesh = if let Some(level) = arguments.subdivide {
-        let control = umbrage_scene::mesh_file::read_polygons(&arguments.mesh)?;
-        let source = || arguments.mesh.display().to_string();
-        umbrage::query::subdivide::mesh_at_level(&control, level).with_context(source)?
+        let control = umbrage_scene::read_polygons(&arguments.mesh)?;
+        subdivide::mesh_at_level(&control, level, &mut |_| bar.report(0.0))
+            .map_err(surface_interrupted)
+            .with_context(source)?
     } else if is_mesh(&arguments.mesh) {
         read_mesh(&arguments.mesh)?
     } else {
         let mut scene = Scene::load(&arguments.mesh)?;
-        umbrage::query::subdivide::refine_all(&mut scene)
-            .with_context(|| arguments.mesh.display().to_string())?;
+        subdivide::refine_all(&mut scene, &mut |_| bar.report(0.0))
+            .map_err(interrupted)
+            .with_context(source)?;
         scene.flatten()
     };
     let occluders = arguments.occluder.iter().map(|path| read_mesh(path)).collect::<Result<_, _>>()?;
@@ -368,6 +372,14 @@ fn bake_and_write(
 fn interrupted(error: impl Into<BakeError>) -> anyhow::Error {
     match error.into() {
         BakeError::Cancelled => Interrupted.into(),
+        other => other.into(),
+    }
+}
+
+/// [`interrupted`] for a surface by itself.
+fn surface_interrupted(error: SurfaceError) -> anyhow::Error {
+    match error {
+        SurfaceError::Cancelled => Interrupted.into(),
         other => other.into(),
     }
 }

@@ -1,7 +1,7 @@
 //! `umbrage render`
 
 use super::{Interrupted, is_mesh, methods, progress::Bar, thread_pool};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use serde_json::json;
 use std::{
     path::{Path, PathBuf},
@@ -11,10 +11,10 @@ use std::{
 };
 use umbrage::{
     image::{self, ColorMap, Fingerprint, Part, Shard, names},
-    query::{AoMethod, Made, Occluders, Selection, ShadowMethod, SurfaceMode, subdivide},
+    query::{AoMethod, BuildCost, Occluders, Selection, ShadowMethod, SurfaceMode, subdivide},
     render::{MethodUsed, RenderError, RenderOptions, Rendered, TILE, check_settings, render},
 };
-use umbrage_scene::{Ground, Scene, Settings};
+use umbrage_scene::{ByteSize, Ground, Scene, Settings};
 
 /// Renders a scene with soft shadows and ambient occlusion.
 ///
@@ -40,9 +40,9 @@ pub struct RenderArguments {
     /// How subdivision surfaces are traced.
     #[arg(long, value_name = "MODE", value_parser = methods::modes::<SurfaceMode>())]
     surfaces: Option<SurfaceMode>,
-    /// MiB of grids that --surfaces footprint keeps; others are made again when a ray comes. The image does not depend on it.
-    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u32).range(1..=i64::from(Settings::MAX_GRID_CACHE)))]
-    grid_cache: Option<u32>,
+    /// Memory for grids of each control mesh with --surfaces footprint, such as 64MiB. The image does not depend on it.
+    #[arg(long, value_name = "SIZE")]
+    grid_cache: Option<ByteSize>,
     /// Camera samples a pixel.
     #[arg(long, value_name = "N")]
     spp: Option<u32>,
@@ -86,22 +86,26 @@ impl FromStr for Size {
 }
 
 pub fn run(arguments: &RenderArguments) -> Result<ExitCode> {
-    let bar = Bar::new("rendering")?;
+    let mut bar = Bar::new("rendering")?;
     let output = arguments.output.clone().unwrap_or_else(|| {
         PathBuf::from(arguments.scene.with_extension("png").file_name().unwrap_or("out.png".as_ref()))
     });
     check_outputs(arguments, &output)?;
     let start = Instant::now();
     let scene = match arguments.subdivide {
-        Some(pixels) => load_surface(arguments, pixels)?,
+        Some(pixels) => load_surface(arguments, pixels, &mut bar)?,
         None => {
             let mut scene = load(&arguments.scene)?;
             override_settings(&mut scene.settings, arguments);
-            subdivide::refine(&mut scene).with_context(|| arguments.scene.display().to_string())?;
+            subdivide::refine(&mut scene, &mut |_| bar.report(0.0))
+                .map_err(interrupted)
+                .with_context(|| arguments.scene.display().to_string())?;
             scene
         }
     };
     check_settings(&scene.settings).with_context(|| arguments.scene.display().to_string())?;
+    let is_footprint = scene.settings.surfaces == SurfaceMode::Footprint.name();
+    ensure!(arguments.grid_cache.is_none() || is_footprint, "--grid-cache needs --surfaces footprint");
     let load_s = start.elapsed().as_secs_f64();
     bar.check()?;
     let pool = thread_pool(arguments.threads)?;
@@ -137,12 +141,14 @@ pub(super) fn load(path: &Path) -> Result<Scene> {
 }
 
 /// Reads a control mesh and puts its surface into a scene.
-fn load_surface(arguments: &RenderArguments, pixels: f32) -> Result<Scene> {
+fn load_surface(arguments: &RenderArguments, pixels: f32, bar: &mut Bar) -> Result<Scene> {
     let path = &arguments.scene;
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    let control = umbrage_scene::mesh_file::read_polygons(path)?;
+    let control = umbrage_scene::read_polygons(path)?;
     let settings = |settings: &mut Settings| override_settings(settings, arguments);
-    subdivide::scene_around(&name, &control, pixels, settings).with_context(|| path.display().to_string())
+    subdivide::scene_around(&name, &control, pixels, settings, &mut |_| bar.report(0.0))
+        .map_err(interrupted)
+        .with_context(|| path.display().to_string())
 }
 
 fn override_settings(settings: &mut Settings, arguments: &RenderArguments) {
@@ -156,7 +162,9 @@ fn override_settings(settings: &mut Settings, arguments: &RenderArguments) {
     if let Some(mode) = arguments.surfaces {
         settings.surfaces = mode.to_string();
     }
-    settings.grid_cache = arguments.grid_cache.unwrap_or(settings.grid_cache);
+    if let Some(size) = arguments.grid_cache {
+        settings.grid_cache = size;
+    }
     if let Some(method) = arguments.ao {
         settings.ao = method.to_string();
     }
@@ -233,7 +241,7 @@ fn write_stats(
     let (structure_bytes, geometry_bytes) = occluders.bytes();
     let method = |used: MethodUsed| json!({ "method": used.name, "reason": used.reason });
     let made =
-        |made: Made| json!({ "build_s": made.time.map(|time| time.as_secs_f64()), "bytes": made.bytes });
+        |made: BuildCost| json!({ "build_s": made.time.map(|time| time.as_secs_f64()), "bytes": made.bytes });
     let structures: serde_json::Map<_, _> = occluders
         .structures()
         .into_iter()
@@ -263,6 +271,7 @@ fn write_stats(
         "structures": structures,
         "surfaces": occluders.surface_work().map(|work| json!({
             "mode": settings.surfaces,
+            "grid_cache": settings.grid_cache.bytes(),
             "patches": work.patches,
             "grids": work.grids,
             "micropolygons": work.micropolygons,

@@ -151,10 +151,11 @@ impl StudyArguments {
         let ground = if self.ground { Ground::Below } else { Ground::Absent };
         let mut report = |_| bar.report(0.0);
         if self.subdivide {
-            let control = umbrage_scene::mesh_file::read_polygons(path)?;
+            let control = umbrage_scene::read_polygons(path)?;
             // Traced as such, so that the scene keeps the control mesh.
             let keep = |settings: &mut Settings| settings.surfaces = SurfaceMode::Once.name().into();
-            let scene = subdivide::scene_around(&name, &control, 1.0, keep).with_context(source)?;
+            let scene = subdivide::scene_around(&name, &control, 1.0, keep, &mut report);
+            let scene = scene.map_err(|error| interrupted(error.into())).with_context(source)?;
             return Subject::of_scene(&name, scene, &mut report).map_err(interrupted).with_context(source);
         }
         if is_mesh(path) {

@@ -72,7 +72,8 @@ pub fn inspect(arguments: &InspectArguments) -> Result<ExitCode> {
     } else {
         let mut scene = Scene::load(&arguments.input)?;
         let kind = SceneKind::of_scene(&scene);
-        umbrage::query::subdivide::refine_all(&mut scene)
+        // Nothing is written, so Ctrl-C may end the process itself.
+        umbrage::query::subdivide::refine_all(&mut scene, &mut |_| true)
             .with_context(|| arguments.input.display().to_string())?;
         print(&inspect_scene_for_methods(&scene, &kind), arguments.json)
     }

@@ -1,10 +1,10 @@
 //! Reports as text.
 
-use super::{Bounds, EdgeReport, LightReport, MeshReport, SceneReport, SolidReport};
+use super::{BoundsReport, EdgeReport, LightReport, MeshReport, SceneReport, SolidReport};
 use std::fmt;
 
 /// Instances that the text lists.
-const SHOWN: usize = 20;
+const MAX_LISTED_INSTANCES: usize = 20;
 
 /// Bytes in units that are easy to read.
 fn memory(bytes: u64) -> String {
@@ -16,7 +16,7 @@ fn memory(bytes: u64) -> String {
     format!("{:.1} {}", bytes as f64 / 1024f64.powi(unit as i32), units[unit - 1])
 }
 
-impl fmt::Display for Bounds {
+impl fmt::Display for BoundsReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ([a, b, c], [x, y, z]) = (self.min, self.max);
         write!(f, "({a}, {b}, {c}) to ({x}, {y}, {z}), diagonal {}", self.diagonal as f32)
@@ -147,12 +147,12 @@ impl fmt::Display for SceneReport {
             }
         }
         write!(f, "\ninstances   {}", self.instances.len())?;
-        for instance in self.instances.iter().take(SHOWN) {
+        for instance in self.instances.iter().take(MAX_LISTED_INSTANCES) {
             let mirrored = if instance.mirrored { ", mirrored" } else { "" };
             write!(f, "\n  {}: mesh {}, {} triangles, ", instance.name, instance.mesh, instance.triangles)?;
             write!(f, "{}{mirrored}, materials {}", instance.bounds, instance.materials.join(", "))?;
         }
-        match self.instances.len().saturating_sub(SHOWN) {
+        match self.instances.len().saturating_sub(MAX_LISTED_INSTANCES) {
             0 => Ok(()),
             more => write!(f, "\n  and {more} more (all are in the JSON)"),
         }

@@ -17,7 +17,7 @@ pub(crate) const LANES: usize = 8;
 const NUMBERS: usize = 3 * LANES;
 
 /// Fewer columns than this are not worth the room of [`LANES`].
-const MIN_COLUMNS: usize = 4;
+const MIN_LANE_COLUMNS: usize = 4;
 
 /// Weights of four control points for up to [`LANES`] columns, three times each.
 #[derive(Clone, Copy, Debug)]
@@ -54,7 +54,7 @@ impl Kernel {
     pub(crate) fn row(self, curve: &[Vec3; 4], weights: &[[f32; 4]], columns: &[Columns], row: &mut [Vec3]) {
         match self.0 {
             Instructions::Scalar => scalar::row(curve, weights, row),
-            _ if row.len() < MIN_COLUMNS => scalar::row(curve, weights, row),
+            _ if row.len() < MIN_LANE_COLUMNS => scalar::row(curve, weights, row),
             instructions => instructions.run(Row { curve, columns, row }),
         }
     }

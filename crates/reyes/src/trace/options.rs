@@ -1,6 +1,6 @@
 //! How a surface is traced.
 
-use crate::{SurfaceError, rate::length::MAX_LEVEL};
+use crate::{SurfaceError, rate::MAX_LEVEL};
 
 /// Where along the ray the footprint that sets a patch's rate is taken (Djeu 2011, section 6.7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -90,11 +90,6 @@ impl Default for TraceOptions {
 }
 
 impl TraceOptions {
-    /// As Djeu 2011 has it: equal rates, cracks where they form.
-    pub fn published(footprint: FootprintRule) -> Self {
-        Self { footprint, borders: Borders::Open, rates: Rates::Equal, ..Self::default() }
-    }
-
     /// With another [`Self::footprint`].
     #[must_use]
     pub fn with_footprint(self, footprint: FootprintRule) -> Self {

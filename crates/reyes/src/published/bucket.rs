@@ -5,12 +5,12 @@
 //! the whole image sees one watertight mesh. A micropolygon covers a pixel when the pixel's ray hits it by `geom`'s exact
 //! predicate, so buckets agree with ray tracing of the same mesh bit for bit.
 
-use crate::{Surface, SurfaceError, TraceCounts, rate::length::MAX_LEVEL};
+use crate::{MAX_LEVEL, Surface, SurfaceError, TraceCounts};
 use umbrage_geom::{Aabb, Progress, Ray, glam::Vec3, intersect_triangle};
 
 /// A pinhole camera: the ray through the middle of pixel `(x, y)` runs along `corner + (x + 1/2) right + (y + 1/2) down`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RasterCamera {
+pub struct BucketCamera {
     /// Where all rays start, world units.
     pub eye: Vec3,
     /// Direction to the upper left corner of the image.
@@ -25,7 +25,7 @@ pub struct RasterCamera {
     pub height: u32,
 }
 
-/// Options of [`rasterize`].
+/// Options of [`rasterize_buckets`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BucketOptions {
@@ -78,12 +78,12 @@ pub struct Fragment {
 
 /// Projections of points to pixels.
 struct Projection {
-    camera: RasterCamera,
+    camera: BucketCamera,
     /// Rows that turn a direction into `(x w, y w, w)`.
     rows: [Vec3; 3],
 }
 
-impl RasterCamera {
+impl BucketCamera {
     /// The ray through the middle of a pixel.
     pub fn ray(&self, x: u32, y: u32) -> Ray {
         Ray::new(self.eye, self.corner + self.right * (x as f32 + 0.5) + self.down * (y as f32 + 0.5))
@@ -154,9 +154,9 @@ impl Projection {
 /// # Errors
 /// [`SurfaceError::Option`] for a bucket of no pixels, an edge that is not positive, a level beyond [`MAX_LEVEL`] or a flat
 /// camera; [`SurfaceError::Cancelled`] by `progress`, which counts buckets.
-pub fn rasterize(
+pub fn rasterize_buckets(
     surface: &Surface,
-    camera: &RasterCamera,
+    camera: &BucketCamera,
     options: &BucketOptions,
     progress: &Progress,
 ) -> Result<(Vec<Option<Fragment>>, TraceCounts), SurfaceError> {
@@ -261,8 +261,8 @@ mod tests {
         Surface::build(&cube, &SurfaceOptions::default()).unwrap()
     }
 
-    fn camera(distance: f32) -> RasterCamera {
-        RasterCamera {
+    fn camera(distance: f32) -> BucketCamera {
+        BucketCamera {
             eye: Vec3::new(0.3, 0.2, distance),
             corner: Vec3::new(-0.4, 0.35, -1.0),
             right: Vec3::new(0.8 / 70.0, 0.0, 0.0),
@@ -292,7 +292,8 @@ mod tests {
             let mut first = None;
             for bucket in [7, 32, 100] {
                 let (image, counts) =
-                    rasterize(&surface, &camera, &options.with_bucket(bucket), &Progress::silent()).unwrap();
+                    rasterize_buckets(&surface, &camera, &options.with_bucket(bucket), &Progress::silent())
+                        .unwrap();
                 for (i, fragment) in image.iter().enumerate() {
                     let ray = camera.ray(i as u32 % 70, i as u32 / 70);
                     assert_eq!(fragment.map(|f| f.t), bvh.closest_hit(&ray).map(|h| h.t), "pixel {i}");
@@ -306,8 +307,8 @@ mod tests {
     #[test]
     fn bad_options_and_cancelling() {
         let surface = surface();
-        let run = |camera: RasterCamera, options: BucketOptions| {
-            rasterize(&surface, &camera, &options, &Progress::silent()).err()
+        let run = |camera: BucketCamera, options: BucketOptions| {
+            rasterize_buckets(&surface, &camera, &options, &Progress::silent()).err()
         };
         let default = BucketOptions::default();
         for (options, bad) in [
@@ -319,11 +320,11 @@ mod tests {
                 matches!(run(camera(4.0), options), Some(SurfaceError::Option { name, .. }) if name == bad)
             );
         }
-        let flat = RasterCamera { down: Vec3::ZERO, ..camera(4.0) };
+        let flat = BucketCamera { down: Vec3::ZERO, ..camera(4.0) };
         assert!(matches!(run(flat, default), Some(SurfaceError::Option { name: "camera", .. })));
         let mut stop = |_: f32| false;
         let progress = Progress::new(6, &mut stop);
-        let error = rasterize(&surface, &camera(4.0), &default, &progress).err();
+        let error = rasterize_buckets(&surface, &camera(4.0), &default, &progress).err();
         assert_eq!(error, Some(SurfaceError::Cancelled));
     }
 }

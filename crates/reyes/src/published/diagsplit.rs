@@ -9,13 +9,13 @@ use crate::{
     mesh::dice::{GridKey, Stitch},
     patch::{Node, QUARTERS},
     rate::length::cell,
-    surface::{Meeting, SIZE},
-    trace::Query,
+    surface::{Meeting, PARAMETER_END},
+    trace::RayWalk,
 };
 use umbrage_geom::{Aabb, glam::Vec3};
 
 /// Levels by which the parts of an edge may differ before it is split.
-const UNIFORM: u8 = 0;
+const MAX_LEVEL_DIFFERENCE: u8 = 0;
 
 /// What an edge asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ impl Part {
     }
 }
 
-impl Query<'_, '_> {
+impl RayWalk<'_, '_> {
     /// Looks for hits on a patch.
     pub(crate) fn diagsplit(&mut self, patch: u32) {
         let part = Part { patch, depth: 0, place: [0, 0] };
@@ -71,7 +71,7 @@ impl Query<'_, '_> {
         let asked = self.segment_levels(points, room);
         let (least, most) = asked.iter().fold((u8::MAX, 0), |(l, m), &a| (l.min(a), m.max(a)));
         // The fourth of an edge that is one segment or two needs no look at its halves.
-        if most > least + UNIFORM && most > 2 && room > 2 {
+        if most > least + MAX_LEVEL_DIFFERENCE && most > 2 && room > 2 {
             EdgeRate::Split
         } else {
             // Lines inside a patch keep a vertex between their ends, see `dice.rs`.
@@ -117,7 +117,7 @@ impl Query<'_, '_> {
                 continue;
             }
             let key = part.key([0, 0], Stitch::default());
-            let (corner, step) = (key.corner().0[edge % 2], SIZE >> level);
+            let (corner, step) = (key.corner().0[edge % 2], PARAMETER_END >> level);
             let start = corner / step * step;
             for at in [start, start + step] {
                 bounds = bounds.with_point(self.tracer.surface.border_position(&key, edge, at));
